@@ -1,0 +1,1 @@
+"""CARFF: belief, forecast and plan over 3-D scenes."""

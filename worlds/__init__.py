@@ -1,0 +1,1 @@
+"""Embedded synthetic worlds: trimesh scenes cast with embreex, with exact ground truth."""
