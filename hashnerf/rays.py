@@ -1,0 +1,36 @@
+"""Rays: origins in world metres and unit directions, one row a ray."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from hashnerf.errors import UserError
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Half lines in the world: origins in metres, directions of unit length."""
+
+    origins: Float[Tensor, "rays 3"]
+    directions: Float[Tensor, "rays 3"]
+
+    def __len__(self) -> int:
+        return self.origins.shape[0]
+
+    def select(self, index: Int[Tensor, " chosen"] | Bool[Tensor, " rays"] | slice) -> "Rays":
+        """Some of the rays: row numbers, a mask with one entry a ray, or a slice."""
+        return Rays(self.origins[index], self.directions[index])
+
+
+def unit_directions(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """Scales vectors of any finite magnitude to length 1; raises UserError where one is zero or not finite."""
+    # Dividing by the largest component first keeps the squares of 1e-30 and 1e20 inside float32.
+    largest = vectors.detach().abs().amax(dim=-1, keepdim=True)
+    if not bool(((largest > 0) & torch.isfinite(largest)).all()):
+        raise UserError("a ray direction is zero or not finite; every direction needs a finite length above zero")
+    # A subnormal cannot be divided by another one to full precision: lift them by a power of two, which is exact.
+    lift = torch.where(largest < 2.0**-100, 2.0**64, 1.0).to(vectors.dtype)
+    scaled = (vectors * lift) / (largest * lift)
+    return scaled / scaled.norm(dim=-1, keepdim=True)

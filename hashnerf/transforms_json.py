@@ -1,0 +1,214 @@
+"""Reading and writing `transforms.json`: strict JSON in, strict JSON out, never half a file.
+
+The format is the one of instant-ngp and nerfstudio with optional extra keys; docs/conventions.md lists them.
+"""
+
+import contextlib
+import json
+import math
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NoReturn
+
+from hashnerf.errors import UserError
+
+LARGEST_FILE = 200 * 1024 * 1024  # bytes
+
+
+def read_transforms(path: Path | str) -> dict:
+    """Parses one JSON object; raises UserError on NaN, duplicate keys, over 200 MB, deep nesting or broken syntax."""
+    path = Path(path)
+    try:
+        if not path.is_file():
+            raise UserError(f"{path}: not found or not a regular file; a data set folder needs a transforms.json")
+        size = path.stat().st_size
+        if size > LARGEST_FILE:
+            raise UserError(f"{path}: {size / 2**20:.0f} MB is over the limit of {LARGEST_FILE // 2**20} MB")
+        text = path.read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
+    try:
+        document = json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=_unique_keys)
+    except RecursionError as error:
+        raise UserError(f"{path}: lists or objects are nested too deeply to be a transforms.json") from error
+    except ValueError as error:  # JSONDecodeError, and ours from the two hooks
+        raise UserError(f"{path}: is not strict JSON: {error}") from error
+    if not isinstance(document, dict):
+        raise UserError(f"{path}: the top level is a {type(document).__name__}; it must be an object with 'frames'")
+    return document
+
+
+def write_transforms(path: Path | str, document: dict) -> None:
+    """Writes strict JSON through a temporary file, so that a crash leaves the old file or the new one, never a part.
+
+    Raises UserError when a value is not finite or not JSON.
+    """
+    path = Path(path)
+    try:
+        text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
+    except (ValueError, TypeError) as error:
+        raise UserError(f"{path}: cannot be written as strict JSON: {error}") from error
+    write_atomically(path, (text + "\n").encode("utf-8"))
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Puts bytes in place in one step: temporary file in the same folder, fsync, rename; makes the folder."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(prefix=f".{path.name[:50]}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o666 & ~_umask())  # mkstemp makes files that only the owner can read
+        os.replace(temporary, path)
+    except BaseException:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(temporary)
+        raise
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _refuse_constant(token: str) -> NoReturn:
+    raise ValueError(f"the token {token} is not JSON; write a finite number or null")
+
+
+def _unique_keys(pairs: list[tuple[str, object]]) -> dict:
+    result = dict(pairs)
+    if len(result) != len(pairs):
+        seen: set[str] = set()
+        repeated = next(key for key, _ in pairs if key in seen or seen.add(key))
+        raise ValueError(f"the key {repeated!r} appears twice in one object")
+    return result
+
+
+def is_index(value: object) -> bool:
+    """Whether a JSON value is an integer from 0 up (true and false are not)."""
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+
+
+def is_number(value: object) -> bool:
+    """Whether a JSON value is a finite number (true and false are not)."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < math.inf
+
+
+def is_point(value: object) -> bool:
+    """Whether a JSON value is a list of three finite numbers."""
+    return isinstance(value, list) and len(value) == 3 and all(is_number(number) for number in value)
+
+
+def check_extras(document: dict, views: list[tuple[int, int, int]]) -> list[str]:
+    """Every problem in the optional top-level keys, one line each; `views` holds each frame's branch, step, camera."""
+    checks = (_scene_box, _states, _names, _actors, _visibility)
+    return [problem for check in checks for problem in check(document, views)]
+
+
+def _scene_box(document: dict, views: list[tuple[int, int, int]]) -> Iterator[str]:
+    box = document.get("scene_box")
+    if box is None:
+        return
+    if not (isinstance(box, list) and len(box) == 2 and all(is_point(corner) for corner in box)):
+        yield "scene_box must be [[x0, y0, z0], [x1, y1, z1]] with finite numbers in metres"
+    elif not all(low < high for low, high in zip(*box)):
+        yield f"scene_box {box}: every lower corner coordinate must be below the upper one"
+
+
+def _states(document: dict, views: list[tuple[int, int, int]]) -> Iterator[str]:
+    states = document.get("states")
+    if states is None:
+        return
+    if not isinstance(states, list):
+        yield "states must be a list of {branch, step, hazard}"
+        return
+    seen = {(branch, step) for branch, step, _ in views}
+    listed = set()
+    for row, entry in enumerate(states):
+        keys = {"branch": is_index, "step": is_index, "hazard": lambda value: value is None or isinstance(value, bool)}
+        problem = _entry(entry, keys, optional=("hazard",))
+        if problem is not None:
+            yield f"states[{row}] {problem}"
+            continue
+        state = (entry["branch"], entry["step"])
+        if state in listed:
+            yield f"states[{row}]: branch {state[0]} step {state[1]} is listed twice"
+        elif state not in seen:
+            yield f"states[{row}]: branch {state[0]} step {state[1]} has no frame that shows it"
+        listed.add(state)
+    for branch, step in sorted(seen - listed):
+        yield f"states does not list branch {branch} step {step}, which frames show"
+
+
+def _names(document: dict, views: list[tuple[int, int, int]]) -> Iterator[str]:
+    for key, position in (("branches", 0), ("camera_kinds", 2)):
+        names = document.get(key)
+        if names is None:
+            continue
+        needed = 1 + max((view[position] for view in views), default=0)
+        if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
+            yield f"{key} must be a list of names"
+        elif len(names) < needed:
+            yield f"{key} has {len(names)} names but the frames use the indices 0 to {needed - 1}"
+
+
+def _actors(document: dict, views: list[tuple[int, int, int]]) -> Iterator[str]:
+    seen = {(branch, step) for branch, step, _ in views}
+    keys = {
+        "branch": is_index,
+        "step": is_index,
+        "center": is_point,
+        "size": lambda value: is_point(value) and min(value) > 0,
+        "yaw": is_number,
+    }
+    for where, entry in _named_lists(document, "actors"):
+        problem = "must be a list" if entry is None else _entry(entry, keys)
+        if problem is not None:
+            yield f"{where} {problem}"
+        elif (entry["branch"], entry["step"]) not in seen:
+            yield f"{where} is at branch {entry['branch']} step {entry['step']}, a state that no frame shows"
+
+
+def _visibility(document: dict, views: list[tuple[int, int, int]]) -> Iterator[str]:
+    seen = {(branch, step) for branch, step, _ in views}
+    cameras = {camera for _, _, camera in views}
+    for where, entry in _named_lists(document, "visibility"):
+        if not (isinstance(entry, list) and len(entry) == 5 and all(is_index(number) for number in entry)):
+            yield f"{where} must be [branch, step, camera, visible_px, unoccluded_px] with integers from 0 up"
+        elif tuple(entry[:2]) not in seen or entry[2] not in cameras:
+            yield f"{where} names branch {entry[0]} step {entry[1]} camera {entry[2]}, which no frame shows"
+        elif entry[3] > entry[4]:
+            yield f"{where} has {entry[3]} visible pixels but only {entry[4]} without occlusion"
+
+
+def _named_lists(document: dict, key: str) -> Iterator[tuple[str, object]]:
+    """Every entry of {name: [entry, ...]} with where it is; None stands for a value that is not a list."""
+    table = document.get(key, {})
+    if not isinstance(table, dict):
+        yield key, None
+        return
+    for name, entries in table.items():
+        if not isinstance(entries, list):
+            yield f"{key}.{name}", None
+            continue
+        for row, entry in enumerate(entries):
+            yield f"{key}.{name}[{row}]", entry
+
+
+def _entry(entry: object, keys: dict[str, Callable], optional: tuple[str, ...] = ()) -> str | None:
+    if not isinstance(entry, dict):
+        return f"must be an object with the keys {', '.join(keys)}"
+    for key, accepts in keys.items():
+        if key not in entry and key not in optional:
+            return f"lacks the key {key!r}"
+        if key in entry and not accepts(entry[key]):
+            return f"has {key} = {str(entry[key])[:60]}, which is not allowed there"
+    unknown = sorted(set(entry) - set(keys))
+    return f"has the unknown key {unknown[0]!r}; known are {', '.join(keys)}" if unknown else None
