@@ -82,7 +82,7 @@ def flat_config(plain: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def run_main(main: Callable[[], int | None]) -> NoReturn:
-    """Run a script's `main` and exit: 0 fine, 1 out of memory or disk, 2 wrong input, 130 Ctrl-C; no traceback for these."""
+    """Run a script's `main` and exit, without traceback: 0 fine, 1 out of memory or disk, 2 wrong input, 130 Ctrl-C."""
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="backslashreplace")  # a terminal that is not UTF-8 must not end a run
     try:
