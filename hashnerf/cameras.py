@@ -63,7 +63,8 @@ class Cameras:
 def camera_rays(cameras: Cameras, camera_index: Int[Tensor, " rays"], pixel: Float[Tensor, "rays 2"]) -> Rays:
     """World rays through image points; differentiable with respect to `cameras.pose`.
 
-    Raises UserError where the lens cannot be inverted at a pixel.
+    A distorted lens passes no gradient to `focal`, `centre`, `distortion` or `pixel`; a pinhole does. Raises UserError
+    where the lens cannot be inverted at a pixel.
     """
     focal = cameras.focal[camera_index]
     point = (pixel - cameras.centre[camera_index]) / focal
@@ -110,7 +111,8 @@ def project(
     if not cameras.is_pinhole:
         distortion = cameras.distortion[camera_index]
         visible = visible & (point.norm(dim=-1) < largest_radius(distortion))
-        point = distort(point, distortion)
+        # A hidden point's powers could overflow, and the gradient through `where` would then be NaN.
+        point = distort(torch.where(visible[:, None], point, torch.zeros_like(point)), distortion)
     pixel = point * cameras.focal[camera_index] + cameras.centre[camera_index]
     return torch.where(visible[:, None], pixel, torch.full_like(pixel, torch.nan)), depth
 

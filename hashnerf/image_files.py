@@ -53,12 +53,13 @@ def read_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
 
     Raises UserError for anything that is not a whole, still, 8-bit PNG or JPEG of at most 40 megapixels.
     """
-    image = _open(path)
-    if getattr(image, "is_animated", False) and image.format == "PNG":
-        raise UserError(f"{path.name} is animated; save one still image")
-    if image.mode not in ("RGB", "RGBA", "L", "LA", "P", "1") or _png_depth(path) == 16:
-        raise UserError(f"{path.name} has 16 bits or the colour mode {image.mode}; save it as 8-bit RGB")
-    with image:
+    with _open(path) as image:
+        if image.format == "PNG" and getattr(image, "is_animated", False):
+            raise UserError(f"{path.name} is animated; save one still image")
+        if image.mode.startswith("I") or _png_bits(path) == 16:
+            raise UserError(f"{path.name} has 16 bits a channel; save it with 8")
+        if image.mode not in ("RGB", "RGBA", "L", "LA", "P", "1"):
+            raise UserError(f"{path.name} has the colour mode {image.mode}; save it as RGB")
         try:
             if image.mode in ("RGBA", "LA") or "transparency" in image.info:
                 return _over_white(np.asarray(image.convert("RGBA")))
@@ -69,10 +70,11 @@ def read_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
 
 def read_depth(path: Path) -> UInt16[np.ndarray, "h w"]:
     """A 16-bit greyscale PNG of millimetres along the optical axis; raises UserError for anything else."""
-    image = _open(path)
-    if image.format != "PNG" or not image.mode.startswith("I;16"):
-        raise UserError(f"{path.name} is {image.format} with mode {image.mode}; depth is a 16-bit greyscale PNG in mm")
-    with image:
+    with _open(path) as image:
+        if image.format != "PNG" or not image.mode.startswith("I;16"):
+            raise UserError(
+                f"{path.name} is a {image.format} of mode {image.mode}; depth is a 16-bit greyscale PNG in millimetres"
+            )
         try:
             return np.asarray(image).astype(np.uint16)
         except DAMAGE as error:
@@ -88,9 +90,11 @@ def write_png(path: Path | str, image: UInt8[np.ndarray, "h w 3"] | UInt16[np.nd
 
 def _open(path: Path) -> Image.Image:
     """Reads the header only: nothing is decoded before the size is known to be acceptable."""
-    if path.stat().st_size == 0:
-        raise UserError(f"{path.name} is empty (0 bytes)")
+    if not path.is_file():
+        raise UserError(f"{path} does not exist or is not a regular file")
     try:
+        if path.stat().st_size == 0:
+            raise UserError(f"{path.name} is empty (0 bytes)")
         image = Image.open(path, formats=FORMATS)
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise UserError(f"{path.name} has over {LARGEST_IMAGE // 10**6} megapixels; shrink it first") from error
@@ -104,7 +108,7 @@ def _open(path: Path) -> Image.Image:
     return image
 
 
-def _png_depth(path: Path) -> int:
+def _png_bits(path: Path) -> int:
     """Bits a channel in a PNG header (byte 24), 8 for other formats; Pillow does not tell for RGB."""
     with path.open("rb") as file:
         head = file.read(26)

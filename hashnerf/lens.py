@@ -7,6 +7,7 @@ A lens folds back on itself beyond the radius where r radial stops growing; poin
 """
 
 import math
+from functools import lru_cache
 
 import torch
 from jaxtyping import Bool, Float
@@ -132,7 +133,7 @@ def read_lens(keys: dict, width: int, height: int) -> tuple[list[float], list[st
         return [], problems
     coefficients = [float(_or(keys.get(key), 0.0)) for key in COEFFICIENT_KEYS]
     lens = [fl_x, _or(fl_y, fl_x), *centre, *coefficients]
-    fold = _fold_problem(lens, width, height)
+    fold = _fold_problem(tuple(lens), width, height)
     return ([], [fold]) if fold else (lens, [])
 
 
@@ -155,7 +156,8 @@ def _focal(keys: dict, axis: str, side: int) -> tuple[float | None, str | None]:
     return side / (2 * math.tan(angle / 2)), None
 
 
-def _fold_problem(lens: list[float], width: int, height: int) -> str | None:
+@lru_cache(maxsize=256)  # the frames of a data set usually share one lens
+def _fold_problem(lens: tuple[float, ...], width: int, height: int) -> str | None:
     """Whether the whole image border can be undistorted: a lens that folds back inside the image cannot be inverted."""
     if not any(lens[4:]):
         return None

@@ -5,7 +5,6 @@ actor boxes in `extras`) is in world metres minus `origin`, which is zero unless
 own origin, as map coordinates do.
 """
 
-import copy
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -74,6 +73,7 @@ class _View:
     """One frame while it is read; what could not be read stays None and has a line in `problems`."""
 
     name: str
+    key: tuple[int, int, int] | None = None  # branch, step, camera
     frame: Frame | None = None
     path: Path | None = None
     pose: Float[np.ndarray, "4 4"] | None = None
@@ -102,8 +102,7 @@ def load_posed_images(folder: Path | str, image_size: int | None = None) -> Pose
         views = list(pool.map(lambda row: _read_view(folder, document, row, entries[row], image_size), rows))
     problems = [f"{view.name}: {problem}" for view in views for problem in view.problems]
     problems += _lens_problems(views) + _across_views(views, document, image_size)
-    frames = [view.frame for view in views if view.frame is not None]
-    problems += check_extras(document, [(frame.branch, frame.step, frame.camera) for frame in frames])
+    problems += check_extras(document, [view.key for view in views if view.key is not None])
     if problems:
         raise DataError(str(source), problems)
     return _assemble(folder, document, views)
@@ -154,6 +153,9 @@ def _read_view(folder: Path, document: dict, row: int, entry: object, image_size
     try:
         if entry.get("depth_path") is not None:
             resolve_inside(folder, entry["depth_path"])
+    except UserError as error:
+        view.problems.append(f"depth_path: {error}")
+    try:
         view.path = resolve_inside(folder, entry.get("file_path"), IMAGE_EXTENSIONS)
         image = read_rgb(view.path)
     except UserError as error:
@@ -177,6 +179,8 @@ def _read_frame(view: _View, entry: dict, row: int) -> None:
         for key, value in numbers.items()
         if not is_index(value)
     ]
+    if not bad:
+        view.key = (numbers["branch"], numbers["step"], numbers["camera"])
     if split not in SPLITS:
         bad.append(f"split = {str(split)[:40]!r} is not one of {', '.join(SPLITS)}")
     view.problems += bad
@@ -207,7 +211,7 @@ def _across_views(views: list[_View], document: dict, image_size: int | None) ->
     """What only shows when frames are compared."""
     problems = []
     for noun, key_of in (
-        ("(branch, step, camera)", lambda view: view.frame and (view.frame.branch, view.frame.step, view.frame.camera)),
+        ("(branch, step, camera)", lambda view: view.key),
         ("picture file", lambda view: view.path),
     ):
         first: dict = {}
@@ -251,7 +255,7 @@ def _assemble(folder: Path, document: dict, views: list[_View]) -> PosedImages:
     width, height = views[0].size
     cameras = Cameras(torch.from_numpy(poses).float(), lens[:, :2], lens[:, 2:4], lens[:, 4:], width, height)
     images = torch.from_numpy(np.stack([view.image for view in views]))
-    extras = copy.deepcopy({key: document[key] for key in document if key not in (*CAMERA_KEYS, "frames", "scene_box")})
+    extras = {key: document[key] for key in document if key not in (*CAMERA_KEYS, "frames", "scene_box")}
     for boxes in extras.get("actors", {}).values():
         for actor in boxes:
             actor["center"] = [value - shift for value, shift in zip(actor["center"], origin.tolist())]

@@ -7,7 +7,7 @@ import contextlib
 import json
 import math
 import os
-import tempfile
+import secrets
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NoReturn
@@ -15,6 +15,8 @@ from typing import NoReturn
 from hashnerf.errors import UserError
 
 LARGEST_FILE = 200 * 1024 * 1024  # bytes
+DEEPEST_NESTING = 50
+LARGEST_INDEX = 1_000_000  # a branch, step or camera beyond this is a mistake, and tables by index would not fit
 
 
 def read_transforms(path: Path | str) -> dict:
@@ -32,10 +34,13 @@ def read_transforms(path: Path | str) -> dict:
     except UnicodeDecodeError as error:
         raise UserError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
     try:
-        document = json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=_unique_keys)
+        document = json.loads(
+            text, parse_constant=_refuse_constant, parse_float=_finite_float, object_pairs_hook=_unique_keys
+        )
+        _check_nesting(document)
     except RecursionError as error:
         raise UserError(f"{path}: lists or objects are nested too deeply to be a transforms.json") from error
-    except ValueError as error:  # JSONDecodeError, and ours from the two hooks
+    except ValueError as error:  # JSONDecodeError, and ours from the hooks
         raise UserError(f"{path}: is not strict JSON: {error}") from error
     if not isinstance(document, dict):
         raise UserError(f"{path}: the top level is a {type(document).__name__}; it must be an object with 'frames'")
@@ -50,36 +55,51 @@ def write_transforms(path: Path | str, document: dict) -> None:
     path = Path(path)
     try:
         text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, RecursionError) as error:
         raise UserError(f"{path}: cannot be written as strict JSON: {error}") from error
     write_atomically(path, (text + "\n").encode("utf-8"))
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Puts bytes in place in one step: temporary file in the same folder, fsync, rename; makes the folder."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name[:50]}.", dir=path.parent)
+    """Puts bytes in place in one step: temporary file in the same folder, fsync, rename; makes the folder.
+
+    Raises UserError when the file system refuses.
+    """
+    temporary = path.with_name(f".{path.name[:50]}.{secrets.token_hex(8)}")
     try:
-        with os.fdopen(handle, "wb") as file:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with open(temporary, "xb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(temporary, 0o666 & ~_umask())  # mkstemp makes files that only the owner can read
         os.replace(temporary, path)
-    except BaseException:
-        with contextlib.suppress(FileNotFoundError):
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written ({error.strerror or error})") from error
+    finally:
+        with contextlib.suppress(OSError):  # after the rename there is nothing left to remove
             os.unlink(temporary)
-        raise
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def _refuse_constant(token: str) -> NoReturn:
     raise ValueError(f"the token {token} is not JSON; write a finite number or null")
+
+
+def _finite_float(text: str) -> float:
+    value = float(text)
+    if math.isinf(value):
+        raise ValueError(f"the number {text[:40]} is too large; write a finite number or null")
+    return value
+
+
+def _check_nesting(document: object) -> None:
+    """Deep nesting is legal JSON, but everything that later prints or copies it would run out of stack."""
+    stack = [(document, 1)]
+    while stack:
+        node, depth = stack.pop()
+        if depth > DEEPEST_NESTING:
+            raise RecursionError
+        children = node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
+        stack += [(child, depth + 1) for child in children if isinstance(child, (dict, list))]
 
 
 def _unique_keys(pairs: list[tuple[str, object]]) -> dict:
@@ -92,13 +112,13 @@ def _unique_keys(pairs: list[tuple[str, object]]) -> dict:
 
 
 def is_index(value: object) -> bool:
-    """Whether a JSON value is an integer from 0 up (true and false are not)."""
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+    """Whether a JSON value is an integer from 0 to a million (true and false are not)."""
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= LARGEST_INDEX
 
 
 def is_number(value: object) -> bool:
     """Whether a JSON value is a finite number (true and false are not)."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < math.inf
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e300
 
 
 def is_point(value: object) -> bool:
