@@ -1,0 +1,75 @@
+"""Stage 1: the PC-VAE's training loop (CARFF 3.1, B.1; Eq. 2 with the usual signs: squared error plus weighted KL)."""
+
+import math
+from pathlib import Path
+
+import torch
+from torch.nn.utils import clip_grad_norm_
+
+from carff.beliefs import kl_to_standard_normal, reparameterise
+from carff.pcvae import Pcvae, PcvaeConfig
+from carff.schedules import delayed_linear_weight
+from carff.states import StateTable
+from hashnerf.finite_steps import FiniteSteps
+from hashnerf.posed_images import PosedImages
+from hashnerf.training_run import TrainingRun
+
+LOG_EVERY = 10
+
+
+def train_pcvae(
+    config: PcvaeConfig,
+    pcvae: Pcvae,
+    data: PosedImages,
+    table: StateTable,
+    folder: Path,
+    seed: int,
+    overwrite: bool = False,
+) -> float:
+    """Trains on the `train` views of `data` in a run folder and returns the seconds it took, all resumes together.
+
+    Batches depend on the run's generator alone, which checkpoints carry: a resumed run takes the path of an
+    uninterrupted one.
+    """
+    device = next(pcvae.parameters()).device
+    view_index = table.view_index(data, "train")
+    states, cameras = (view_index >= 0).nonzero(as_tuple=True)
+    frames = view_index[states, cameras]
+    pcvae.decoder.fit_basis(data.images, view_index)
+    prepared = pcvae.encoder.prepare(data.images[frames])
+    optimizer = torch.optim.Adam(pcvae.parameters(), lr=config.lr)
+    generator = torch.Generator().manual_seed(seed)
+    guard = FiniteSteps()
+    objects = {"pcvae": pcvae, "optimizer": optimizer}
+    pcvae.train()
+    with TrainingRun(
+        folder, config, config.steps, objects, {"batches": generator}, config.save_every, overwrite=overwrite
+    ) as run:
+        for step in run.steps():
+            rows = torch.randint(len(frames), (config.batch_size,), generator=generator)
+            belief = pcvae.encode_prepared(prepared[rows].to(device), generator)
+            latents = reparameterise(belief, generator)
+            error = pcvae.decoder.reconstruction_loss(latents, states[rows].to(device), generator)
+            divergence = kl_to_standard_normal(belief).mean()
+            epoch = step * config.batch_size / len(frames)
+            weight = delayed_linear_weight(
+                epoch, config.kl_start, config.kl_end, config.kl_ramp_start, config.kl_ramp_end
+            )
+            optimizer.param_groups[0]["lr"] = config.lr * rate_factor(step, config.steps)
+            optimizer.zero_grad(set_to_none=True)
+            (error + weight * divergence).backward()
+            norm = clip_grad_norm_(pcvae.parameters(), 1.0)
+            if guard.accepts(step, {"error": error, "kl": divergence, "gradient": norm}):
+                optimizer.step()
+            if step % LOG_EVERY == 0 or step + 1 == config.steps:
+                psnr = -10 * math.log10(max(float(error), 1e-10))
+                run.log(step, error=error, kl=divergence, kl_weight=weight, psnr=psnr, skipped=guard.skipped)
+        seconds = run.seconds
+    pcvae.eval()
+    return seconds
+
+
+def rate_factor(step: int, steps: int, warm_up: int = 50) -> float:
+    """Returns a linear warm-up followed by a cosine fall to zero."""
+    progress = step / max(steps, 1)
+    return min(1.0, (step + 1) / warm_up) * 0.5 * (1 + math.cos(math.pi * progress))

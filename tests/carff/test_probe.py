@@ -1,0 +1,87 @@
+"""Probing: geometry of the candidate lines, opacity by hand, calibration, absent and unknown as answers."""
+
+import math
+
+import pytest
+import torch
+from carff.states import ActorBox
+
+from carff.probe import UNKNOWN, ProbeConfig, box_points, box_scores, build_candidates, calibrate
+from hashnerf.errors import UserError
+
+CONFIG = ProbeConfig(columns=(3, 2), levels=4, margin=0.1)
+NEAR = ActorBox("truck", (0.0, 0.0, 1.0), (4.0, 2.0, 2.0), 0.0)
+FAR = ActorBox("truck", (20.0, 0.0, 1.0), (4.0, 2.0, 2.0), math.pi / 2)
+STATES = [[NEAR], [FAR], []]
+
+
+def density_of(states):
+    """A density of `value` inside the box that each latent names (latent = state number); 0 elsewhere."""
+
+    def density_fn(points, latents):
+        rows = []
+        for latent in latents[:, 0].int().tolist():
+            inside = torch.zeros(len(points))
+            for box in states[latent]:
+                inside += ((points - torch.tensor(box.center)).abs().amax(dim=1) < 2.5).float()
+            rows.append(inside * 3.0)
+        return torch.stack(rows)
+
+    return density_fn
+
+
+def test_points_lie_inside_the_turned_box():
+    # Length 4 along y after a quarter turn: 80 % of 4 x 2 x 2, centres of 3 x 2 cells.
+    points = box_points(FAR, CONFIG).reshape(-1, 3) - torch.tensor([20.0, 0.0, 1.0])
+    assert torch.allclose(points.abs().amax(dim=0), torch.tensor([0.4, 1.6 / 1.5 * 1.0, 0.6]), atol=1e-5)
+
+
+def test_scores_by_hand():
+    # A line of 4 points 0.4 m apart at density 3: opacity 1 - exp(-4 * 0.4 * 3) = 0.99177.
+    candidates = build_candidates(STATES, CONFIG)
+    scores = box_scores(candidates, torch.tensor([[0.0], [2.0]]), density_of(STATES))
+    assert torch.allclose(scores, torch.tensor([[0.99177, 0.0], [0.0, 0.0]]), atol=1e-5)
+
+
+def probe_of(noise: float = 0.0):
+    candidates = build_candidates(STATES, CONFIG)
+    latents = torch.tensor([[0.0], [1.0], [2.0]]).repeat(30, 1)
+    scores = box_scores(candidates, latents, density_of(STATES))
+    scores = (scores * 0.8 + noise * torch.rand(scores.shape, generator=torch.Generator().manual_seed(0))).clamp(0, 1)
+    return calibrate(candidates, scores, latents[:, 0].long(), 0.6), scores, latents[:, 0].long()
+
+
+def test_present_and_absent_are_told_apart_in_spite_of_noise():
+    probe, scores, state = probe_of(noise=0.3)
+    assert torch.equal(probe.classify(scores), state)
+
+
+def test_a_score_between_present_and_absent_is_unknown():
+    probe, _, _ = probe_of()
+    middle = probe.threshold.clone()
+    assert probe.classify(middle[None]).item() == UNKNOWN
+
+
+def test_two_boxes_at_once_fit_no_state():
+    probe, _, _ = probe_of()
+    assert probe.classify(torch.tensor([[0.8, 0.8]])).item() == UNKNOWN
+
+
+def test_equal_states_share_their_probability():
+    candidates = build_candidates([[NEAR], [NEAR], []], CONFIG)
+    scores = torch.tensor([[0.9], [0.9], [0.1]]).repeat(10, 1)
+    probe = calibrate(candidates, scores, torch.tensor([0, 1, 2]).repeat(10), 0.6)
+    # Two of the three states are the same situation: alone each has at most one half, together they are sure.
+    assert probe.classify(torch.tensor([[0.9], [0.1]])).tolist() == [0, 2]
+
+
+def test_a_useless_candidate_has_a_weak_vote():
+    candidates = build_candidates(STATES, CONFIG)
+    scores = torch.rand(60, 2, generator=torch.Generator().manual_seed(0)) * 0.02
+    probe = calibrate(candidates, scores, torch.tensor([0, 1, 2]).repeat(20), 0.6)
+    assert set(probe.classify(scores).tolist()) == {UNKNOWN}
+
+
+def test_no_boxes_is_a_sentence():
+    with pytest.raises(UserError, match="names no actor boxes"):
+        build_candidates([[], []], CONFIG)
