@@ -110,7 +110,8 @@ def set_threads(count: int) -> None:
 
     if count < 0:
         raise UserError(f"threads = {count} is negative; give 0 for all cores or the number of threads to use.")
-    torch.set_num_threads(count or len(os.sched_getaffinity(0)))
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    torch.set_num_threads(count or usable or 1)
 
 
 def nearest(word: str, known: Sequence[str]) -> str:
@@ -189,7 +190,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     if path.stat().st_size > MAX_CONFIG_BYTES:
         raise UserError(f"{path}: larger than {MAX_CONFIG_BYTES} bytes; this is not a config file.")
     try:
-        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_StrictLoader)
+        data = _StrictLoader(path.read_text(encoding="utf-8")).get_single_data()
     except yaml.MarkedYAMLError as error:
         line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
         raise UserError(f"{path}: {error.problem}{line}; mend the YAML.") from error
