@@ -31,7 +31,7 @@ def test_recall_is_the_share_of_plausible_labels_seen():
 
 
 def test_unknown_and_foreign_labels_are_wrong():
-    curves = accuracy_recall_curves(_samples([-1, 7, 0]), np.array([[False, False, True]]))
+    curves = accuracy_recall_curves(_samples([-1, 7, -1]), np.array([[True, False, False]]))
     np.testing.assert_allclose(curves.accuracy.mean, 0.0)
     recall = accuracy_recall_curves(_samples([-1, 7, 2]), np.array([[True, True, True]])).recall
     np.testing.assert_allclose(recall.mean, [0, 0, 1 / 3])
@@ -53,6 +53,7 @@ def test_curves_of_independent_draws_follow_their_closed_forms():
     np.testing.assert_allclose(open_.mean, open_.closed_form, atol=4 * 0.0056)
     clear = accuracy_recall_curves(samples, np.tile(CLEAR, (40, 1)), bootstraps=200)
     np.testing.assert_allclose(clear.all_correct.mean, 0.5**n, atol=4 * 0.0112)
+    np.testing.assert_allclose(clear.all_correct.closed_form, 0.5**n, atol=0.03)
     np.testing.assert_allclose(clear.accuracy.mean, 0.5, atol=4 * 0.0112)
 
 

@@ -104,6 +104,16 @@ def test_unmatched_looks_only_at_the_pixels_of_its_own_pair():
     np.testing.assert_allclose(result.unmatched, 6.0206, atol=1e-4)
 
 
+def test_the_lead_compares_both_sides_on_the_same_pixels():
+    # State 0 rendered with errors 0.1, 0.1, 0.4 in pixels 0, 1, 2. Pair (0, 1), pixels 0 and 1: own 20 dB, other 0.4
+    # and 0.4, 7.9588 dB, lead 12.0412. Pair (0, 2), pixels 0 and 2: own mse (0.01 + 0.16) / 2, other (0.16 + 0.01) / 2,
+    # lead 0. Mean 6.0206.
+    truth = _moving_square(3)
+    rendered = truth[:1].copy()
+    rendered[0, 0, :3] = [[0.9] * 3, [0.6] * 3, [0.9] * 3]
+    assert changed_psnr(rendered, truth, changed_pixels(truth)).lead[0] == pytest.approx(6.0206, abs=1e-4)
+
+
 def test_a_rendering_of_the_wrong_state_has_a_negative_lead():
     truth = _moving_square(2)
     assert (changed_psnr(truth[::-1] * 0.99, truth, changed_pixels(truth)).lead < 0).all()
