@@ -1,0 +1,240 @@
+"""Multi-resolution hash grid (Instant-NGP) over an axis-aligned box of any shape.
+
+Every level is a lattice of cubic cells: `resolution` cells along the longest side of the box and as many as needed
+along the others. A point takes the trilinear mean of the feature vectors at the eight vertices of its cell. Vertices
+are stored one by one where they fit into the table, else they share entries through a spatial hash.
+
+Positions are world metres. They are always computed in float32 (float64 stays float64), also under autocast. A point
+outside the box, or NaN, gets zero features and no gradient; under `torch.autograd.detect_anomaly` NaN raises
+ValueError.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import product
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from hashnerf.activations import at_least_float32
+from hashnerf.compiling import compiled_or_eager
+from hashnerf.errors import UserError
+
+INITIAL_RANGE = 1e-4
+# 2654435761 as a signed 32-bit number: the hash of Instant-NGP is a product modulo 2^32, which int32 gives by wrapping
+PRIMES = (1, 2654435761 - (1 << 32), 805459861)
+
+
+@dataclass(frozen=True)
+class Level:
+    """One lattice: its cell size, its vertices per axis and its stretch of the table."""
+
+    cell: float
+    """Edge of a cell, metres."""
+    vertices: tuple[int, int, int]
+    """Lattice vertices along x, y and z."""
+    entries: int
+    """Feature vectors stored."""
+    offset: int
+    """Index of the first number of this level in the one-dimensional table."""
+    hashed: bool
+    """Whether vertices share entries through the hash."""
+
+
+def plan_levels(
+    extent: tuple[float, float, float],
+    levels: int,
+    features: int,
+    log2_table_size: int,
+    base_resolution: int,
+    finest_resolution: int,
+) -> tuple[Level, ...]:
+    """Lay out `levels` lattices whose resolutions grow geometrically from base to finest along the longest side."""
+    longest, table_size = max(extent), 1 << log2_table_size
+    growth = (finest_resolution / base_resolution) ** (1 / max(levels - 1, 1))
+    plan, offset = [], 0
+    for number in range(levels):
+        resolution = round(base_resolution * growth**number)
+        vertices = tuple(math.ceil(resolution * side / longest) + 1 for side in extent)
+        count = math.prod(vertices)  # Python integers: 2048^3 would overflow 32 bits
+        hashed = count > table_size
+        entries = table_size if hashed else count
+        plan.append(Level(longest / resolution, vertices, entries, offset, hashed))
+        offset += entries * features
+    return tuple(plan)
+
+
+def spatial_hash(vertex: Int[Tensor, "n 3"], table_size: int) -> Int[Tensor, " n"]:
+    """Hash lattice vertices into [0, table_size) by the exclusive or of coordinate times prime, modulo 2^32.
+
+    Raises ValueError unless `table_size` is a power of two: only then does masking equal the unsigned remainder.
+    """
+    if table_size < 1 or table_size & (table_size - 1):
+        raise ValueError(f"hash table size {table_size} is not a power of two")
+    x, y, z = vertex.to(torch.int32).unbind(dim=1)
+    return (x ^ (y * PRIMES[1]) ^ (z * PRIMES[2])) & (table_size - 1)
+
+
+def _cell(x: Tensor, last_cell: Tensor) -> tuple[Tensor, Tensor]:
+    """Split lattice coordinates into cell index and fraction; the upper face belongs to the last cell (fraction 1)."""
+    cell = torch.minimum(torch.floor(x), last_cell.to(x.dtype))
+    return cell.to(torch.int32), x - cell
+
+
+def _indices(cell: Tensor, multiplier: Tensor, mask: int, hashed: bool) -> list[Tensor]:
+    """Table entries of a cell's eight vertices, x slowest."""
+    low = [cell[:, axis] * multiplier[axis] for axis in range(3)]
+    x, y, z = [(value, value + multiplier[axis]) for axis, value in enumerate(low)]
+    if hashed:
+        pairs = [a ^ b for a, b in product(x, y)]
+        return [(pair ^ c) & mask for pair, c in product(pairs, z)]
+    pairs = [a + b for a, b in product(x, y)]
+    return [pair + c for pair, c in product(pairs, z)]
+
+
+def _weights(fraction: Tensor) -> list[Tensor]:
+    """Trilinear weights in the order of `_indices`."""
+    x, y, z = [(1 - fraction[:, axis], fraction[:, axis]) for axis in range(3)]
+    pairs = [a * b for a, b in product(x, y)]
+    return [pair * c for pair, c in product(pairs, z)]
+
+
+def _gather(x: Tensor, table: Tensor, last_cell: Tensor, multiplier: Tensor, mask: int, hashed: bool) -> Tensor:
+    """Interpolate one level; written for the compiler, which fuses it into one pass over the points."""
+    cell, fraction = _cell(x, last_cell)
+    total = torch.zeros_like(table[:1])
+    for index, weight in zip(_indices(cell, multiplier, mask, hashed), _weights(fraction)):
+        total = total + table[index] * weight[:, None]
+    return total
+
+
+def _gather_eager(x: Tensor, table: Tensor, last_cell: Tensor, multiplier: Tensor, mask: int, hashed: bool) -> Tensor:
+    """The same, as one library call that gathers and sums without a compiler."""
+    cell, fraction = _cell(x, last_cell)
+    index = torch.stack(_indices(cell, multiplier, mask, hashed), dim=1)
+    weight = torch.stack(_weights(fraction), dim=1)
+    return nn.functional.embedding_bag(index, table, per_sample_weights=weight, mode="sum")
+
+
+def _spread(
+    x: Tensor, gradient: Tensor, last_cell: Tensor, multiplier: Tensor, mask: int, hashed: bool
+) -> tuple[Tensor, Tensor]:
+    """Return the table entries [8, n] that a point's gradient goes to and its eight shares [8, n, features]."""
+    cell, fraction = _cell(x, last_cell)
+    index = torch.stack(_indices(cell, multiplier, mask, hashed))
+    return index, torch.stack([gradient * weight[:, None] for weight in _weights(fraction)])
+
+
+def _slope(x: Tensor, gradient: Tensor, table: Tensor, last_cell: Tensor, multiplier: Tensor, mask: int, hashed: bool):
+    """Gradient with respect to the lattice coordinates [n, 3]."""
+    cell, fraction = _cell(x, last_cell)
+    indices = _indices(cell, multiplier, mask, hashed)
+    pull = torch.stack([(table.index_select(0, index) * gradient).sum(dim=1) for index in indices]).view(2, 2, 2, -1)
+    low, high = (1 - fraction).unbind(dim=1), fraction.unbind(dim=1)
+    weights = [torch.stack(pair) for pair in zip(low, high)]
+    along_x = torch.einsum("bcn,bn,cn->n", pull[1] - pull[0], weights[1], weights[2])
+    along_y = torch.einsum("acn,an,cn->n", pull[:, 1] - pull[:, 0], weights[0], weights[2])
+    along_z = torch.einsum("abn,an,bn->n", pull[:, :, 1] - pull[:, :, 0], weights[0], weights[1])
+    return torch.stack([along_x, along_y, along_z], dim=1)
+
+
+def _add_rows(table: Tensor, index: Tensor, rows: Tensor) -> None:
+    """Add rows [m, features] to table rows in place; pairs of features travel as one complex number.
+
+    One-dimensional `index_add_` over complex numbers is the fastest scatter of PyTorch on a processor.
+    """
+    target = torch.view_as_complex(table.view(-1, 2))
+    source = torch.view_as_complex(rows.view(rows.shape[0], -1, 2))
+    pairs = source.shape[1]
+    for pair in range(pairs):
+        target.index_add_(0, index if pairs == 1 else index * pairs + pair, source[:, pair])
+
+
+class _Encode(torch.autograd.Function):
+    """Stores the points alone: indices and weights are cheaper to compute again than to keep."""
+
+    @staticmethod
+    def forward(ctx, local: Tensor, inside: Tensor, table: Tensor, grid: "HashGrid") -> Tensor:
+        ctx.save_for_backward(local, inside, table)
+        ctx.grid = grid
+        gather = compiled_or_eager(_gather, _gather_eager, grid.compile)
+        parts = [
+            gather(local * (1 / level.cell), grid.rows(table, level), *grid.lattice(number))
+            for number, level in enumerate(grid.plan)
+        ]
+        return torch.cat(parts, dim=1).mul_(inside[:, None])
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx, gradient: Tensor) -> tuple[Tensor | None, None, Tensor | None, None]:
+        local, inside, table = ctx.saved_tensors
+        grid = ctx.grid
+        spread = compiled_or_eager(_spread, _spread, grid.compile)
+        columns = (gradient * inside[:, None]).split(grid.features, dim=1)
+        for_positions = torch.zeros_like(local) if ctx.needs_input_grad[0] else None
+        for_table = torch.zeros_like(table) if ctx.needs_input_grad[2] else None
+        for number, level in enumerate(grid.plan):
+            x, column, lattice = local * (1 / level.cell), columns[number].contiguous(), grid.lattice(number)
+            if for_table is not None:
+                index, rows = spread(x, column, *lattice)
+                _add_rows(grid.rows(for_table, level), index.view(-1), rows.view(-1, grid.features))
+            if for_positions is not None:
+                for_positions += _slope(x, column, grid.rows(table, level), *lattice) * (1 / level.cell)
+        return for_positions, None, for_table, None
+
+
+class HashGrid(nn.Module):
+    """Trainable multi-resolution features of positions in a box."""
+
+    def __init__(
+        self,
+        box: Float[Tensor, "2 3"],
+        levels: int,
+        features: int,
+        log2_table_size: int,
+        base_resolution: int,
+        finest_resolution: int,
+        compile: bool = False,
+    ):
+        super().__init__()
+        if features % 2:
+            raise UserError(f"features_per_level is {features}: use an even number")
+        self.features, self.compile = features, compile
+        extent = (box[1].double() - box[0].double()).tolist()
+        if not all(0 < side < math.inf for side in extent):
+            raise UserError(f"scene box has sides {extent} m: every side must be positive and finite")
+        self.plan = plan_levels(tuple(extent), levels, features, log2_table_size, base_resolution, finest_resolution)
+        self.register_buffer("box", box.detach().clone(), persistent=False)
+        last = self.plan[-1]
+        numbers = last.offset + last.entries * features
+        self.table = nn.Parameter(torch.empty(numbers).uniform_(-INITIAL_RANGE, INITIAL_RANGE))
+        last_cells = [[count - 2 for count in level.vertices] for level in self.plan]
+        multipliers = [PRIMES if v.hashed else (1, v.vertices[0], v.vertices[0] * v.vertices[1]) for v in self.plan]
+        self.register_buffer("last_cells", torch.tensor(last_cells, dtype=torch.int32), persistent=False)
+        self.register_buffer("multipliers", torch.tensor(multipliers, dtype=torch.int32), persistent=False)
+
+    @property
+    def out_features(self) -> int:
+        """Length of the feature vector of a position."""
+        return len(self.plan) * self.features
+
+    def rows(self, table: Tensor, level: Level) -> Tensor:
+        """View of one level of a table-shaped tensor as [entries, features]."""
+        return table[level.offset : level.offset + level.entries * self.features].view(level.entries, self.features)
+
+    def lattice(self, number: int) -> tuple[Tensor, Tensor, int, bool]:
+        """The numbers that turn lattice coordinates into table entries at one level."""
+        level = self.plan[number]
+        return self.last_cells[number], self.multipliers[number], level.entries - 1, level.hashed
+
+    def forward(self, positions: Float[Tensor, "n 3"]) -> Float[Tensor, "n features"]:
+        """Encode world positions (m); outside the box and for NaN the features are zero, without gradient."""
+        if torch.is_anomaly_enabled() and bool(positions.isnan().any()):
+            raise ValueError("a position is NaN")
+        positions = at_least_float32(positions)
+        low, high = self.box.to(positions.dtype)
+        inside = ((positions >= low) & (positions <= high)).all(dim=1)
+        # the argument itself is made safe: a NaN that is only masked afterwards still reaches the gradient
+        local = torch.where(inside[:, None], positions - low, 0.0)
+        return _Encode.apply(local, inside, self.table, self)

@@ -1,0 +1,136 @@
+"""Which parts of the scene box are worth sampling, in any of the states a field can be conditioned on.
+
+Notation: thickness = density * cell edge, the optical thickness of crossing a cell, bounded by `MAX_THICKNESS`. Two
+numbers a cell: `maximum` over a bank of conditions (a cell that is empty in every condition is skipped) and `minimum`
+over the bank (a ray ends behind cells that are opaque in every condition). The maximum rises at once and decays slowly;
+the minimum falls at once and rises slowly: both errors then cost time, not geometry.
+"""
+
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from hashnerf.errors import UserError
+
+LOG = logging.getLogger(__name__)
+MAX_THICKNESS = 10.0  # exp(-10): opaque. A bounded spike decays below the threshold within a bounded number of updates
+# Additive recurrence of the plastic number: consecutive points fill the unit cube evenly, so a thin pole is soon met
+PLASTIC = 1.2207440846057596
+SEQUENCE = tuple(1 / PLASTIC**power for power in (1, 2, 3))
+CHUNK = 1 << 17  # positions evaluated at once
+
+
+@dataclass(frozen=True)
+class OccupancyConfig:
+    """Resolution and caution of the occupancy grid."""
+
+    cell: float = 0.5
+    """Largest edge of a cell, metres."""
+    threshold: float = 0.01
+    """A cell whose optical thickness stays below this in every condition is skipped."""
+    decay: float = 0.95
+    """Factor on the remembered maximum at each update of a cell."""
+    points: int = 2
+    """Positions tried in a cell at each update."""
+    warmup: int = 4
+    """Updates of the whole grid before any cell is skipped."""
+    turns: int = 4
+    """After the warm-up each update treats one cell in this many."""
+
+    def __post_init__(self):
+        for name in ("cell", "threshold"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise UserError(f"occupancy.{name} is {getattr(self, name)}: use a positive number")
+        if not 0 < self.decay < 1:
+            raise UserError(f"occupancy.decay is {self.decay}: use a number between 0 and 1")
+        for name in ("points", "warmup", "turns"):
+            if getattr(self, name) < 1:
+                raise UserError(f"occupancy.{name} is {getattr(self, name)}: use at least 1")
+
+
+class OccupancyGrid(nn.Module):
+    """Cells of a box with what they hold under a bank of conditions; all state is in buffers."""
+
+    def __init__(self, config: OccupancyConfig, box: Float[Tensor, "2 3"]):
+        super().__init__()
+        self.config = config
+        extent = (box[1] - box[0]).double()
+        self.shape = tuple(max(1, math.ceil(side / config.cell - 1e-6)) for side in extent.tolist())
+        edges = extent / torch.tensor(self.shape)
+        self.edge = float(edges.amax())  # crossing a cell along its longest edge
+        cells = math.prod(self.shape)
+        self.register_buffer("box", box.detach().float().clone(), persistent=False)
+        self.register_buffer("inverse_edges", (1 / edges).float(), persistent=False)
+        self.register_buffer("maximum", torch.full((cells,), MAX_THICKNESS))
+        self.register_buffer("minimum", torch.zeros(cells))
+        self.register_buffer("updates", torch.zeros((), dtype=torch.int64))
+        self.register_buffer("rejected", torch.zeros((), dtype=torch.int64))
+        self.warned = False
+
+    def cell_index(self, positions: Float[Tensor, "n 3"]) -> Int[Tensor, " n"]:
+        """Index of the cell of each position (m); positions outside the box count to the nearest cell."""
+        _, ny, nz = self.shape
+        place = (positions - self.box[0]) * self.inverse_edges
+        x, y, z = (place[:, axis].clamp(0, count - 1).to(torch.int32) for axis, count in enumerate(self.shape))
+        return (x * ny + y) * nz + z
+
+    def extinction(self) -> Float[Tensor, " cells"]:
+        """Per cell: -1 if rays skip it, else the density (1/m) that it has in every condition, known opaque or 0."""
+        if int(self.updates) < self.config.warmup:
+            return torch.zeros_like(self.minimum)
+        occupied = self.maximum > self.config.threshold
+        if not bool(occupied.any()):
+            if not self.warned:
+                LOG.warning("the occupancy grid is empty: every cell is sampled until something becomes dense")
+                self.warned = True
+            return torch.zeros_like(self.minimum)
+        return torch.where(occupied, self.minimum / self.edge, -1.0)
+
+    def occupied_fraction(self) -> float:
+        """Share of the cells that rays sample."""
+        return float((self.extinction() >= 0).float().mean())
+
+    @torch.no_grad()
+    def update(self, density_bank: Callable[[Float[Tensor, "p 3"]], Float[Tensor, "bank p"]]) -> None:
+        """Refresh cells from the density (1/m) of positions under each condition of a bank.
+
+        The first updates treat all cells, later ones one cell in `turns`. A cell with a density that is not finite
+        keeps its old values and is counted in `rejected`.
+        """
+        number = int(self.updates)
+        turns = 1 if number < self.config.warmup else self.config.turns
+        device = self.maximum.device
+        cells = torch.arange(number % turns, self.maximum.numel(), turns, device=device)
+        # counts on through the visits of one cell, so that its points keep filling it evenly
+        visit = number if turns == 1 else self.config.warmup + (number - self.config.warmup) // turns
+        for chunk in cells.split(CHUNK // self.config.points):
+            self._update_cells(chunk, visit, density_bank)
+        self.updates += 1
+
+    def _update_cells(self, cells: Tensor, visit: int, density_bank: Callable) -> None:
+        highest = torch.zeros(len(cells), device=cells.device)
+        lowest = torch.full_like(highest, MAX_THICKNESS)
+        finite = torch.ones_like(cells, dtype=torch.bool)
+        for point in range(self.config.points):
+            thickness = density_bank(self._points(cells, visit * self.config.points + point)).float() * self.edge
+            finite &= thickness.isfinite().all(dim=0)
+            highest = torch.maximum(highest, thickness.amax(dim=0))
+            lowest = torch.minimum(lowest, thickness.amin(dim=0))
+        old_maximum, old_minimum = self.maximum[cells], self.minimum[cells]
+        maximum = torch.maximum(old_maximum * self.config.decay, highest.clamp(max=MAX_THICKNESS))
+        minimum = torch.minimum(lowest, (old_minimum + lowest) / 2)
+        self.maximum[cells] = torch.where(finite, maximum, old_maximum)
+        self.minimum[cells] = torch.where(finite, minimum, old_minimum)
+        self.rejected += (~finite).sum()
+
+    def _points(self, cells: Tensor, number: int) -> Float[Tensor, "p 3"]:
+        """One point in each cell: the `number`-th of a sequence that fills the cell evenly."""
+        _, ny, nz = self.shape
+        corner = torch.stack([cells // (ny * nz), cells // nz % ny, cells % nz], dim=1)
+        offset = torch.tensor([(0.5 + step * number) % 1.0 for step in SEQUENCE], device=cells.device)
+        return self.box[0] + (corner + offset) / self.inverse_edges

@@ -1,0 +1,95 @@
+"""Volume rendering of rays through callables: the core knows neither conditions nor networks.
+
+A field is any `field_fn(positions [s,3] m, directions [s,3] unit, ray_index [s]) -> (density [s] 1/m, rgb [s,3] in
+[0,1])`; a background is any `background_fn(directions [rays,3]) -> rgb [rays,3]`, black if absent. Depth is the
+distance along the ray in metres, not the depth along the optical axis.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from hashnerf.cameras import Cameras, image_rays
+from hashnerf.compositing import composite_colour, expected_depth, median_depth, sample_weights
+from hashnerf.marching import MarchSettings, march
+from hashnerf.occupancy import OccupancyGrid
+from hashnerf.rays import Rays
+
+FieldFn = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
+BackgroundFn = Callable[[Tensor], Tensor]
+SAMPLES_AT_ONCE = 1 << 17  # without gradients the field sees this many samples at a time
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """What rays see."""
+
+    rgb: Float[Tensor, "rays 3"]
+    """Colour in [0, 1], background included."""
+    depth: Float[Tensor, " rays"]
+    """Mean distance of what the ray hits (m), inf where it hits nothing."""
+    median_depth: Float[Tensor, " rays"]
+    """Distance at which half of the light is stopped (m), inf where that never happens."""
+    depth_valid: Bool[Tensor, " rays"]
+    """Whether the ray hits anything; without it depth means nothing."""
+    opacity: Float[Tensor, " rays"]
+    """Share of the light stopped inside the box."""
+    samples_evaluated: int
+    """Samples the field was asked for."""
+
+
+def render(
+    rays: Rays,
+    field_fn: FieldFn,
+    occupancy: OccupancyGrid,
+    settings: MarchSettings,
+    background_fn: BackgroundFn | None = None,
+    generator: torch.Generator | None = None,
+) -> Rendering:
+    """Render rays; sample positions are jittered with a generator, interval middles without."""
+    samples = march(rays, occupancy, settings, generator)
+    shape = samples.mask.shape
+    place = samples.mask.view(-1).nonzero()[:, 0]
+    ray_index = place // max(shape[1], 1)
+    directions = rays.directions[ray_index]
+    positions = rays.origins[ray_index] + directions * samples.t.view(-1)[place, None]
+    density, rgb = _evaluate(field_fn, positions, directions, ray_index)
+    density = density.new_zeros(shape.numel()).index_copy(0, place, density).view(shape)
+    rgb = rgb.new_zeros(shape.numel(), 3).index_copy(0, place, rgb).view(*shape, 3)
+    weights, _ = sample_weights(density, samples.dt)
+    background = torch.zeros_like(rays.directions) if background_fn is None else background_fn(rays.directions)
+    depth, valid = expected_depth(weights, samples.t)
+    median, _ = median_depth(weights, samples.t)
+    colour = composite_colour(weights, rgb, background)
+    return Rendering(colour, depth, median, valid, weights.sum(dim=1).clamp(max=1), len(place))
+
+
+def _evaluate(field_fn: FieldFn, positions: Tensor, directions: Tensor, ray_index: Tensor) -> tuple[Tensor, Tensor]:
+    if torch.is_grad_enabled() or len(positions) <= SAMPLES_AT_ONCE:
+        return field_fn(positions, directions, ray_index)
+    parts = zip(*(value.split(SAMPLES_AT_ONCE) for value in (positions, directions, ray_index)))
+    density, rgb = zip(*(field_fn(*part) for part in parts))
+    return torch.cat(density), torch.cat(rgb)
+
+
+@torch.no_grad()
+def render_image(
+    cameras: Cameras,
+    index: int,
+    field_fn: FieldFn,
+    occupancy: OccupancyGrid,
+    settings: MarchSettings,
+    background_fn: BackgroundFn | None = None,
+    rays_at_once: int = 8192,
+) -> Rendering:
+    """Render every pixel of one camera (rows h*w, row-major) without gradients, a chunk of rays at a time."""
+    rays = image_rays(cameras, index)
+    chunks = [
+        render(rays.select(slice(start, start + rays_at_once)), field_fn, occupancy, settings, background_fn)
+        for start in range(0, len(rays), rays_at_once)
+    ]
+    joined = {f.name: torch.cat([getattr(c, f.name) for c in chunks]) for f in fields(Rendering)[:-1]}
+    return Rendering(**joined, samples_evaluated=sum(chunk.samples_evaluated for chunk in chunks))
