@@ -118,9 +118,9 @@ def project(
 
 
 def look_at(
-    position: Float[Tensor, " 3"] | Sequence[float],
-    target: Float[Tensor, " 3"] | Sequence[float],
-    up: Float[Tensor, " 3"] | Sequence[float] = (0.0, 0.0, 1.0),
+    position: Float[Tensor, " 3"] | Sequence[float | int],
+    target: Float[Tensor, " 3"] | Sequence[float | int],
+    up: Float[Tensor, " 3"] | Sequence[float | int] = (0, 0, 1),
 ) -> Float[Tensor, "4 4"]:
     """A camera-to-world pose at `position` that looks at `target` with `up` upwards in the image (metres, float32).
 

@@ -60,15 +60,21 @@ def undistort(
     """
     target, lens = points.detach().double(), coefficients.detach().double()
     limit = largest_radius(lens)
-    ideal = target.clone()
+    ideal = _shortened(target, limit / 2)
     for _ in range(NEWTON_STEPS):
         residual = distort(ideal, lens) - target
         if bool((residual.abs().amax(-1) <= 0.01 * tolerance).all()):
             break
-        ideal = ideal - _newton_step(ideal, residual, lens)
+        # A step across the fold would converge to the wrong side or nowhere: stop it halfway to the fold.
+        halfway = (ideal.norm(dim=-1) + limit) / 2
+        ideal = _shortened(ideal - _newton_step(ideal, residual, lens), halfway)
     residual = distort(ideal, lens) - target
     good = (residual.abs().amax(-1) <= tolerance) & (ideal.norm(dim=-1) < limit)
     return ideal.to(points.dtype), good & (_jacobian_determinant(ideal, lens) > 0)
+
+
+def _shortened(points: Float[Tensor, "n 2"], radius: Float[Tensor, " n"]) -> Float[Tensor, "n 2"]:
+    return points * (radius / points.norm(dim=-1).clamp(min=1e-300)).clamp(max=1)[:, None]
 
 
 def _jacobian(
@@ -178,5 +184,5 @@ def _fold_problem(lens: tuple[float, ...], width: int, height: int) -> str | Non
     )
 
 
-def _or(value: float | None, default: float) -> float:
-    return default if value is None else value
+def _or(value: float | int | None, default: float) -> float:
+    return default if value is None else float(value)

@@ -16,8 +16,10 @@ def read_pose(value: object) -> tuple[Float[np.ndarray, "4 4"] | None, str | Non
         return None, f"has rows of the lengths {[len(row) for row in value][:8]} instead of four rows of four numbers"
     if not all(isinstance(number, (int, float)) and not isinstance(number, bool) for row in value for number in row):
         return None, "holds something that is not a number"
-    # A Python integer can be too large for any float: clip it, the translation check then names it.
-    pose = np.array([[max(min(number, 1e300), -1e300) for number in row] for row in value], dtype=np.float64)
+    try:
+        pose = np.array(value, dtype=np.float64)
+    except OverflowError:
+        return None, "holds an integer too large for a coordinate"
     problem = _pose_problem(pose)
     if problem is not None:
         return None, problem

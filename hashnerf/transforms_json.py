@@ -128,7 +128,7 @@ def is_point(value: object) -> bool:
 
 def check_extras(document: dict, views: list[tuple[int, int, int]]) -> list[str]:
     """Every problem in the optional top-level keys, one line each; `views` holds each frame's branch, step, camera."""
-    checks = (_scene_box, _states, _names, _actors, _visibility)
+    checks = (_scene_box, _states, _names, _actors, _visibility, _world)
     return [problem for check in checks for problem in check(document, views)]
 
 
@@ -188,19 +188,27 @@ def _actors(document: dict, views: list[tuple[int, int, int]]) -> Iterator[str]:
         "size": lambda value: is_point(value) and min(value) > 0,
         "yaw": is_number,
     }
-    for where, entry in _named_lists(document, "actors"):
-        problem = "must be a list" if entry is None else _entry(entry, keys)
+    listed = set()
+    for name, where, entry in _named_lists(document, "actors"):
+        problem = entry if isinstance(entry, str) else _entry(entry, keys)
         if problem is not None:
             yield f"{where} {problem}"
-        elif (entry["branch"], entry["step"]) not in seen:
-            yield f"{where} is at branch {entry['branch']} step {entry['step']}, a state that no frame shows"
+            continue
+        state = (entry["branch"], entry["step"])
+        if state not in seen:
+            yield f"{where} is at branch {state[0]} step {state[1]}, a state that no frame shows"
+        if (name, state) in listed:
+            yield f"{where} repeats branch {state[0]} step {state[1]}; an actor has one box a state"
+        listed.add((name, state))
 
 
 def _visibility(document: dict, views: list[tuple[int, int, int]]) -> Iterator[str]:
     seen = {(branch, step) for branch, step, _ in views}
     cameras = {camera for _, _, camera in views}
-    for where, entry in _named_lists(document, "visibility"):
-        if not (isinstance(entry, list) and len(entry) == 5 and all(is_index(number) for number in entry)):
+    for _, where, entry in _named_lists(document, "visibility"):
+        if isinstance(entry, str):
+            yield f"{where} {entry}"
+        elif not (isinstance(entry, list) and len(entry) == 5 and all(is_index(number) for number in entry)):
             yield f"{where} must be [branch, step, camera, visible_px, unoccluded_px] with integers from 0 up"
         elif tuple(entry[:2]) not in seen or entry[2] not in cameras:
             yield f"{where} names branch {entry[0]} step {entry[1]} camera {entry[2]}, which no frame shows"
@@ -208,18 +216,23 @@ def _visibility(document: dict, views: list[tuple[int, int, int]]) -> Iterator[s
             yield f"{where} has {entry[3]} visible pixels but only {entry[4]} without occlusion"
 
 
-def _named_lists(document: dict, key: str) -> Iterator[tuple[str, object]]:
-    """Every entry of {name: [entry, ...]} with where it is; None stands for a value that is not a list."""
+def _world(document: dict, views: list[tuple[int, int, int]]) -> Iterator[str]:
+    if not isinstance(document.get("world", {}), dict):
+        yield "world must be an object"
+
+
+def _named_lists(document: dict, key: str) -> Iterator[tuple[str, str, object]]:
+    """(name, where it is, entry) for all of {name: [entry, ...]}; a string in place of an entry says what is wrong."""
     table = document.get(key, {})
     if not isinstance(table, dict):
-        yield key, None
+        yield "", key, "must be an object of lists by actor name"
         return
     for name, entries in table.items():
         if not isinstance(entries, list):
-            yield f"{key}.{name}", None
+            yield name, f"{key}.{name}", "must be a list"
             continue
         for row, entry in enumerate(entries):
-            yield f"{key}.{name}[{row}]", entry
+            yield name, f"{key}.{name}[{row}]", "must be an object or list" if isinstance(entry, str) else entry
 
 
 def _entry(entry: object, keys: dict[str, Callable], optional: tuple[str, ...] = ()) -> str | None:
