@@ -22,7 +22,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor, nn
@@ -48,6 +48,7 @@ WINDOWS_DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com"
 CONFIG, METRICS, CHECKPOINTS = "config.yaml", "metrics.jsonl", "checkpoints"
 
 
+@runtime_checkable
 class Stateful(Protocol):
     """Anything a run can save: modules, optimisers, schedulers, averages, counters."""
 
@@ -57,7 +58,11 @@ class Stateful(Protocol):
 
 
 class TrainingRun:
-    """Own one run folder while training; see the module's example."""
+    """Own one run folder while training; see the module's example.
+
+    Of several processes that train together, only one may have `writes`: the others continue from the same checkpoint
+    and count the same steps, but touch no file.
+    """
 
     def __init__(
         self,
@@ -69,12 +74,13 @@ class TrainingRun:
         save_every: int = 500,
         keep: int = 2,
         overwrite: bool = False,
+        writes: bool = True,
     ):
         if total_steps < 1 or save_every < 1:
             raise UserError(f"total_steps = {total_steps} and save_every = {save_every} must both be at least 1.")
         self.folder, self.config, self.total_steps = folder, config, total_steps
         self.objects, self.generators = objects, generators or {}
-        self.save_every, self.keep, self.overwrite = save_every, keep, overwrite
+        self.save_every, self.keep, self.overwrite, self.writes = save_every, keep, overwrite, writes
         self.completed = 0
         self._earlier_seconds, self._earlier_peak = 0.0, 0.0
         self._saved, self._trimmed, self._resumed_step = -1, False, 0
@@ -85,12 +91,13 @@ class TrainingRun:
 
     def __enter__(self) -> "TrainingRun":
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            self._lock.acquire()
-        except OSError as error:
-            raise UserError(f"{self.folder}: cannot be used as a run folder ({error.strerror}).") from error
-        try:
+            if self.writes:
+                self.folder.mkdir(parents=True, exist_ok=True)
+                self._lock.acquire()
             self._prepare()
+        except OSError as error:
+            self._lock.release()
+            raise UserError(f"{self.folder}: cannot be used as a run folder ({error.strerror}).") from error
         except BaseException:
             self._lock.release()
             raise
@@ -120,10 +127,10 @@ class TrainingRun:
     def steps(self) -> Iterator[int]:
         """Yield the steps still to do; save when due, at the end, and when asked to stop (then exit 130 or 143)."""
         if self.finished:
-            say(f"{self.folder}: already finished ({self.completed} steps); nothing to do.")
+            self._say(f"already finished ({self.completed} steps); nothing to do.")
             return
         if self.completed:
-            say(f"{self.folder}: continuing after step {self.completed} of {self.total_steps}.")
+            self._say(f"continuing after step {self.completed} of {self.total_steps}.")
         self._start_watching()
         try:
             for step in range(self.completed, self.total_steps):
@@ -131,7 +138,8 @@ class TrainingRun:
                 self.completed = step + 1
                 if self._signal is not None or self.finished or self.completed % self.save_every == 0:
                     self.save()
-                self._progress.show(self.completed)
+                if self._progress is not None:
+                    self._progress.show(self.completed)
                 if self._signal is not None:
                     self._leave()
         finally:
@@ -139,6 +147,8 @@ class TrainingRun:
 
     def log(self, step: int, **values: Any) -> None:
         """Append a line to metrics.jsonl; NaN and infinite values become null and are named in `non_finite`."""
+        if not self.writes:
+            return
         line: dict[str, Any] = {"step": step, "seconds": round(self.seconds, 3)}
         non_finite = []
         for name, value in values.items():
@@ -164,16 +174,16 @@ class TrainingRun:
 
     def save(self) -> None:
         """Write a checkpoint of the present state now; UserError when weights are not finite or the disk refuses."""
-        if self._saved == self.completed:
+        if self._saved == self.completed or not self.writes:
             return
         tensors: dict[str, Tensor] = {}
         states = {}
         for name, thing in self.objects.items():
             if isinstance(thing, nn.Module):
-                self._refuse_non_finite(name, thing)
                 tensors.update(module_tensors(thing, name))
             else:
                 states[name] = pack(thing.state_dict(), name, tensors)
+        self._refuse_non_finite(tensors)
         state = {
             "config": pack(plain_config(self.config), "config", tensors),
             "objects": states,
@@ -192,13 +202,14 @@ class TrainingRun:
     def _prepare(self) -> None:
         """Bring the folder and the objects to the point where training starts or continues."""
         checkpoints = self.folder / CHECKPOINTS
-        if self.overwrite:
+        if self.writes and self.overwrite:
             shutil.rmtree(checkpoints, ignore_errors=True)
             (self.folder / METRICS).unlink(missing_ok=True)
-        sweep_leftovers(checkpoints)
-        if checkpoint_steps(checkpoints):
+        if self.writes:
+            sweep_leftovers(checkpoints)
+        if checkpoint_steps(checkpoints) and not self.overwrite:
             self._resume(checkpoints)
-        else:
+        elif self.writes:
             save_config(self.config, self.folder / CONFIG)
 
     def _resume(self, checkpoints: Path) -> None:
@@ -217,10 +228,7 @@ class TrainingRun:
                 thing.load_state_dict(unpack(state["objects"][name], tensors))
         restore_random_state(unpack(state["random"], tensors), self.generators)
         if state["torch"] != torch.__version__:
-            say(
-                f"{self.folder}: saved by torch {state['torch']}, this is {torch.__version__}: "
-                "it continues, but not bit for bit."
-            )
+            self._say(f"saved by torch {state['torch']}, going on with {torch.__version__}, so not bit for bit.")
         self._earlier_seconds, self._earlier_peak = state["seconds"], state["peak_memory_mb"]
         self.completed = self._saved = self._resumed_step = step
 
@@ -238,8 +246,15 @@ class TrainingRun:
                 "choose another run name, or start over with --overwrite true."
             )
 
-    def _refuse_non_finite(self, name: str, module: nn.Module) -> None:
-        bad = [f"{name}.{key}" for key, weight in module.named_parameters() if not torch.isfinite(weight).all()]
+    def _refuse_non_finite(self, tensors: dict[str, Tensor]) -> None:
+        """NaN anywhere, or an infinite weight, must not replace a good checkpoint."""
+        modules = {name: thing for name, thing in self.objects.items() if isinstance(thing, nn.Module)}
+        weights = {f"{name}.{key}" for name, module in modules.items() for key, _ in module.named_parameters()}
+        bad = [
+            name
+            for name, tensor in tensors.items()
+            if tensor.is_floating_point() and (tensor.isnan().any() or (name in weights and tensor.isinf().any()))
+        ]
         if bad:
             raise UserError(
                 f"{self.folder}: training broke down by step {self.completed}: {', '.join(bad)} not finite; "
@@ -262,13 +277,14 @@ class TrainingRun:
                         kept.append(line)
                 except (ValueError, KeyError, TypeError):
                     continue
-            temporary = path.with_name(f".{METRICS}.{os.getpid()}")
+            temporary = path.with_name(f".{METRICS}.new")
             temporary.write_text("".join(kept), encoding="utf-8")
             os.replace(temporary, path)
         self._trimmed = True
 
     def _start_watching(self) -> None:
-        self._progress = StepProgress(self.folder.name, self.completed, self.total_steps)
+        if self.writes:
+            self._progress = StepProgress(self.folder.name, self.completed, self.total_steps)
         if threading.current_thread() is threading.main_thread():  # Python allows signal handlers nowhere else
             for number in (signal.SIGINT, signal.SIGTERM):
                 self._handlers[number] = signal.signal(number, self._on_signal)
@@ -289,6 +305,10 @@ class TrainingRun:
             os.kill(os.getpid(), number)
         self._signal = number
         os.write(2, b"\nFinishing this step and saving; once more to stop at once.\n")
+
+    def _say(self, sentence: str) -> None:
+        if self.writes:
+            say(f"{self.folder}: {sentence}")
 
     def _leave(self) -> None:
         name = signal.Signals(self._signal).name
