@@ -5,7 +5,9 @@ import math
 from hashnerf.errors import UserError
 
 
-def delayed_linear(epoch: float, start_value: float, end_value: float, start_epoch: float, end_epoch: float) -> float:
+def delayed_linear(
+    epoch: float | int, start_value: float, end_value: float, start_epoch: float | int, end_epoch: float | int
+) -> float:
     """Returns `start_value`, from `start_epoch` a line to `end_value`, kept from `end_epoch` on.  # CARFF Table 4
 
     Equal epochs make a step: `end_value` from that epoch on. Raises UserError if the ramp ends before it starts or a
