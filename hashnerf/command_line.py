@@ -53,7 +53,7 @@ def load_config(config_class: type[Config], path: Path) -> Config:
 
 def save_config(config: Any, path: Path) -> None:
     """Write a config as YAML that `load_config` reads back to an equal object; the file is replaced atomically."""
-    text = yaml.safe_dump(plain_config(config), sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
+    text = yaml.dump(plain_config(config), Dumper=_ConfigDumper, sort_keys=False, allow_unicode=True, width=120)
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     temporary.write_text(text, encoding="utf-8")
     os.replace(temporary, path)
@@ -151,6 +151,19 @@ def _split_config_files(arguments: list[str]) -> tuple[list[str], list[str]]:
         else:
             others.append(argument)
     return files, others
+
+
+class _ConfigDumper(yaml.SafeDumper):
+    """Safe YAML with one key a line and lists on one line."""
+
+    def represent_list(self, data: list) -> yaml.Node:
+        return self.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=True)
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True  # the loader refuses aliases, so equal parts are written out
+
+
+_ConfigDumper.add_representer(list, _ConfigDumper.represent_list)
 
 
 class _StrictLoader(yaml.SafeLoader):
