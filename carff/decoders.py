@@ -63,7 +63,7 @@ class ComponentsDecoder(nn.Module):
 
     @torch.no_grad()
     def fit_basis(self, pictures: UInt8[Tensor, "n h w 3"], view_index: Int[Tensor, "states cameras"]) -> None:
-        """Computes each camera's mean and principal components from its pictures (rows of `view_index`, -1 = missing)."""
+        """Computes each camera's mean and principal components; `view_index` holds picture rows, -1 where missing."""
         targets = torch.zeros(*view_index.shape, self.rank)
         for camera in range(view_index.shape[1]):
             present = (view_index[:, camera] >= 0).nonzero()[:, 0]

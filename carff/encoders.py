@@ -24,7 +24,7 @@ class EncoderConfig:
     """What turns a picture into a belief."""
 
     kind: Literal["conv", "vit"] = "conv"
-    """`conv` is trained from scratch and needs no download; `vit` is a frozen Vision Transformer with a trained head."""
+    """`conv` is trained from scratch, without download; `vit` is a frozen Vision Transformer with a trained head."""
     width: int = 48
     """Channels of the first stage of `conv`; the later stages have 2 and 4 times as many."""
     augment: float = 1.0

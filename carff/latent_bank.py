@@ -16,7 +16,7 @@ from carff.beliefs import Belief
 
 @dataclass(frozen=True)
 class LatentBank:
-    """Posteriors [views, d], the state of each view, its weight (sums to 1 within a state), and one fixed sample each."""
+    """Posteriors, the state of each view, its weight (sums to 1 within a state), and one fixed sample each."""
 
     mean: Float[Tensor, "views d"]
     logvar: Float[Tensor, "views d"]
@@ -30,7 +30,7 @@ class LatentBank:
         return int(self.state.max()) + 1
 
     def draw(self, states: Int[Tensor, " n"], fresh_share: float, generator: torch.Generator) -> Float[Tensor, "n d"]:
-        """Draws one latent per requested state: a fresh posterior sample with probability `fresh_share`, else the fixed one.
+        """Draws a latent per requested state: fresh from the posterior with probability `fresh_share`, else the fixed one.
 
         A Bernoulli choice keeps every draw a draw from the posterior; a convex blend of two samples is not one
         (CARFF B.3 "slowly introduce the re-sampled latents").

@@ -1,4 +1,4 @@
-"""Pose-conditional variational auto-encoder: picture of a state -> belief over scene latents -> picture from any camera.
+"""Pose-conditional variational auto-encoder: picture of a state -> belief over latents -> picture from any camera.
 
 CARFF 3.1: the encoder sees camera c, the decoder is asked for camera c'', so the latent must describe the scene and not
 the view. Latent size 8 (Table 4). A `Belief` is a diagonal Gaussian over latents (carff.beliefs).

@@ -7,8 +7,9 @@ import torch
 from torch.nn.utils import clip_grad_norm_
 
 from carff.beliefs import kl_to_standard_normal, reparameterise
+from carff.model_files import save_model
 from carff.pcvae import Pcvae, PcvaeConfig
-from carff.schedules import delayed_linear_weight
+from carff.schedules import delayed_linear
 from carff.states import StateTable
 from hashnerf.finite_steps import FiniteSteps
 from hashnerf.posed_images import PosedImages
@@ -23,38 +24,37 @@ def train_pcvae(
     data: PosedImages,
     table: StateTable,
     folder: Path,
+    record: dict,
     seed: int,
     overwrite: bool = False,
-) -> float:
-    """Trains on the `train` views of `data` in a run folder and returns the seconds it took, all resumes together.
+) -> None:
+    """Trains on the `train` views of `data` in a run folder and saves the model there.
 
-    Batches depend on the run's generator alone, which checkpoints carry: a resumed run takes the path of an
-    uninterrupted one.
+    `record` is what the run folder keeps as its config. Batches depend on the run's generators alone, which checkpoints
+    carry: a resumed run takes the path of an uninterrupted one.
     """
     device = next(pcvae.parameters()).device
-    view_index = table.view_index(data, "train")
+    view_index = table.view_index("train")
     states, cameras = (view_index >= 0).nonzero(as_tuple=True)
     frames = view_index[states, cameras]
     pcvae.decoder.fit_basis(data.images, view_index)
     prepared = pcvae.encoder.prepare(data.images[frames])
     optimizer = torch.optim.Adam(pcvae.parameters(), lr=config.lr)
     generator = torch.Generator().manual_seed(seed)
+    noise = torch.Generator(device=device).manual_seed(seed)
     guard = FiniteSteps()
     objects = {"pcvae": pcvae, "optimizer": optimizer}
     pcvae.train()
-    with TrainingRun(
-        folder, config, config.steps, objects, {"batches": generator}, config.save_every, overwrite=overwrite
-    ) as run:
+    generators = {"batches": generator, "noise": noise}
+    with TrainingRun(folder, record, config.steps, objects, generators, config.save_every, overwrite=overwrite) as run:
         for step in run.steps():
             rows = torch.randint(len(frames), (config.batch_size,), generator=generator)
             belief = pcvae.encode_prepared(prepared[rows].to(device), generator)
-            latents = reparameterise(belief, generator)
+            latents = reparameterise(belief, noise)
             error = pcvae.decoder.reconstruction_loss(latents, states[rows].to(device), generator)
             divergence = kl_to_standard_normal(belief).mean()
             epoch = step * config.batch_size / len(frames)
-            weight = delayed_linear_weight(
-                epoch, config.kl_start, config.kl_end, config.kl_ramp_start, config.kl_ramp_end
-            )
+            weight = delayed_linear(epoch, config.kl_start, config.kl_end, config.kl_ramp_start, config.kl_ramp_end)
             optimizer.param_groups[0]["lr"] = config.lr * rate_factor(step, config.steps)
             optimizer.zero_grad(set_to_none=True)
             (error + weight * divergence).backward()
@@ -64,9 +64,8 @@ def train_pcvae(
             if step % LOG_EVERY == 0 or step + 1 == config.steps:
                 psnr = -10 * math.log10(max(float(error), 1e-10))
                 run.log(step, error=error, kl=divergence, kl_weight=weight, psnr=psnr, skipped=guard.skipped)
-        seconds = run.seconds
+        save_model(folder, pcvae, run)
     pcvae.eval()
-    return seconds
 
 
 def rate_factor(step: int, steps: int, warm_up: int = 50) -> float:

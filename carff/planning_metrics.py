@@ -16,6 +16,11 @@ from jaxtyping import Bool
 from carff.intervals import wilson_interval
 
 UNDERCONFIDENT, OVERCONFIDENT = "underconfident", "overconfident"
+# CARFF Table 3, 30 trials on one image of the authors' own data: (waits at a hazard, goes when clear).
+PAPER_SUCCESS = {
+    "intersection": {("paper", 2): (17 / 30, 1.0), ("paper", 10): (1.0, 1.0), ("paper", 35): (1.0, 19 / 30)},
+    "two_lane_merge": {("paper", 2): (21 / 30, 1.0), ("paper", 10): (1.0, 1.0), ("paper", 35): (1.0, 22 / 30)},
+}
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,178 @@
+"""The tables of a report, read from the nested results and formatted for people.
+
+Tables are rows of text. A value that is missing becomes a dash; shares are shown in per cent with their 95 % interval
+where the results hold one.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from carff.targets import lookup
+
+DASH = "–"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A formatted table; the first column names the rows."""
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+
+
+def number(value: float | None, unit: str = "", digits: int | None = None) -> str:
+    """A number with its unit; `%` and `points` are stored as shares, `min` as seconds."""
+    if value is None:
+        return DASH
+    if not math.isfinite(value):
+        return "not finite"
+    scale = {"%": 100.0, "points": 100.0, "min": 1 / 60}.get(unit, 1.0)
+    if digits is None:
+        digits = 1 if unit else 0 if float(value).is_integer() else 3
+    return f"{value * scale:.{digits}f} {unit}".strip().replace("-", "−")
+
+
+def share(value: float | None, interval: Sequence[float] | None = None) -> str:
+    """A share in per cent with its interval in brackets."""
+    if value is None or interval is None:
+        return number(value, "%")
+    return f"{number(value, '%')} [{100 * interval[0]:.1f}, {100 * interval[1]:.1f}]"
+
+
+def data_tables(results: Mapping) -> list[Table]:
+    """How many states, cameras and pictures there are."""
+    data = results.get("data", {})
+    names = (
+        ("states", "states"),
+        ("cameras", "cameras"),
+        ("test_cameras", "test cameras"),
+        ("views", "pictures"),
+        ("determined_views", "pictures that determine their state"),
+        ("ambiguous_views", "pictures that fit several states"),
+    )
+    known = [(label, number(data[key])) for key, label in names if data.get(key) is not None]
+    return [Table(tuple(label for label, _ in known), (tuple(text for _, text in known),))] if known else []
+
+
+def pcvae_tables(results: Mapping) -> list[Table]:
+    """How well latents name their states and how well pictures come back."""
+    pcvae = results.get("pcvae", {})
+    names = (
+        ("svm_all", "all training views"),
+        ("svm_ceiling", "ceiling: what the pixels of those views allow"),
+        ("svm_visible", "training views that show the actor"),
+        ("svm_determined", "training views that determine their state"),
+        ("svm_visible_heldout", "held-out cameras, actor visible"),
+        ("svm_heldout", "held-out cameras, all views"),
+    )
+    rows = tuple(
+        (label, share(pcvae[key], pcvae.get(f"{key}_interval"))) for key, label in names if pcvae.get(key) is not None
+    )
+    note = "RBF support vector machine on standardised belief means, C = 1, 10-fold, equal pictures kept in one fold."
+    more = (
+        ("psnr_train_db", "PSNR, training views", "dB"),
+        ("psnr_heldout_db", "PSNR, held-out input cameras", "dB"),
+        ("changed_px_db", "PSNR, changed pixels only", "dB"),
+        ("psnr_mean_image_db", "PSNR of each camera's mean picture (a free baseline)", "dB"),
+        ("active_units", "active latent dimensions", ""),
+    )
+    quality = tuple((label, number(pcvae[key], unit)) for key, label, unit in more if pcvae.get(key) is not None)
+    return [Table(("state named from the latent", "accuracy"), rows, note), Table(("reconstruction", ""), quality)]
+
+
+def scene_tables(results: Mapping) -> list[Table]:
+    """PSNR of rendered scenes at the trained and the held-out camera, and the accuracy of the probe."""
+    nerf = results.get("nerf", {})
+    names = (
+        ("psnr_matched", "against its own state"),
+        ("psnr_unmatched", "against the other states"),
+        ("changed_px", "changed pixels, own state"),
+        ("changed_px_lead", "changed pixels, lead over the others"),
+    )
+    rows = tuple(
+        (label, number(nerf.get(f"{key}_db"), "dB"), number(nerf.get(f"{key}_heldout_db"), "dB"))
+        for key, label in names
+    )
+    found = (("renderings nearest to their own state", _count(nerf, ""), _count(nerf, "_heldout")),)
+    probe = results.get("probe", {})
+    tables = [Table(("bird's-eye view", "camera trained on", "camera held out"), rows + found)]
+    if probe.get("accuracy") is not None:
+        tables.append(
+            Table(("density probe", "accuracy"), (("all answers", share(probe["accuracy"], probe.get("interval"))),))
+        )
+    return tables
+
+
+def _count(nerf: Mapping, suffix: str) -> str:
+    found, states = nerf.get(f"state_identified_count{suffix}"), nerf.get("states")
+    return number(nerf.get(f"state_identified{suffix}"), "%") if found is None else f"{found} of {states}"
+
+
+def forecast_tables(results: Mapping) -> list[Table]:
+    """Calibration per visibility class and the branch probabilities of ambiguous views."""
+    calibration = lookup(results, "forecast.calibration") or {}
+    classes = calibration.get("by_visibility", {})
+    rows = tuple(
+        (name, number(row["views"]), number(row["ece"], digits=3), number(row["mae"], digits=3))
+        for name, row in classes.items()
+    )
+    tables = []
+    if rows:
+        note = "Expected calibration error over 10 bins; mean absolute error view by view, where errors cannot cancel."
+        tables.append(Table(("actor visibility", "views", "ECE", "MAE"), rows, note))
+    ambiguous = calibration.get("ambiguous", {})
+    if ambiguous.get("mean_probability"):
+        names = lookup(results, "data.branches") or [str(index) for index in range(len(ambiguous["mean_probability"]))]
+        pairs = zip(names, ambiguous["mean_probability"], ambiguous["mean_frequency"])
+        body = tuple((name, f"{chance:.2f}", f"{true:.2f}") for name, chance, true in pairs)
+        title = f"branch, {ambiguous['views']} ambiguous views"
+        tables.append(Table((title, "mean predicted probability", "true frequency"), body))
+    return tables
+
+
+def plan_tables(results: Mapping) -> list[Table]:
+    """Success of every controller at a hazard and with a clear way."""
+    rows = []
+    for rule, entry in results.get("plan", {}).items():
+        counts = {name: value for name, value in entry.items() if isinstance(value, Mapping)} or {"": entry}
+        for name, row in counts.items():
+            title = f"{rule}, n = {name[1:]}" if name else rule
+            rows.append((title, *_plan_cells(row, "hazard"), *_plan_cells(row, "clear")))
+    header = ("controller", "hazard: waits", "trials", "worst image", "clear: goes", "trials", "worst image")
+    return [Table(header, tuple(rows))] if rows else []
+
+
+def _plan_cells(row: Mapping, side: str) -> tuple[str, str, str]:
+    count = row.get(f"{side}_count")
+    trials = DASH if count is None else f"{count[0]} of {count[1]}"
+    worst = row.get(f"{side}_worst_image")
+    return share(row.get(f"{side}_success"), row.get(f"{side}_interval")), trials, number(worst, "%", 0)
+
+
+def closed_loop_tables(results: Mapping) -> list[Table]:
+    """Collisions, needless stops and time to cross of every policy."""
+    rows = tuple(
+        (
+            name,
+            number(row.get("episodes")),
+            f"{row['collisions']}",
+            share(row.get("collision_rate"), row.get("collision_interval")),
+            share(row.get("needless_stop_rate"), row.get("needless_stop_interval")),
+            number(row.get("time_to_cross_s"), "s"),
+        )
+        for name, row in results.get("closed_loop", {}).items()
+    )
+    header = ("policy", "episodes", "collisions", "collision rate", "needless stops", "median time to cross")
+    return [Table(header, rows)] if rows else []
+
+
+def cost_tables(results: Mapping) -> list[Table]:
+    """Time and memory of every stage."""
+    rows = tuple(
+        (stage["name"], number(stage["seconds"], "s"), number(stage["peak_memory_mib"], "MiB", 0))
+        for stage in results.get("stages", ())
+    )
+    total = (("whole run", number(results.get("seconds_total"), "s"), DASH),)
+    return [Table(("stage", "wall clock", "peak memory"), rows + total)]

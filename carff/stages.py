@@ -1,0 +1,126 @@
+"""The three training stages of CARFF on a data-set folder; each is resumable and does nothing when it is finished.
+
+runs/<name>/{config.yaml, scene.json, pcvae/, nerf/, nerf_birds_eye/, mdn/}: `nerf` has never seen the bird's-eye
+camera; `nerf_birds_eye` continues it with that camera among the training views, as in the paper, and is what forecasts
+are rendered with.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from jaxtyping import Int
+from lightning_fabric import Fabric
+from torch import Tensor
+
+from carff.config import CarffConfig
+from carff.mdn_training import build_mdn, train_mdn
+from carff.model_files import load_model
+from carff.nerf_training import build_nerf, train_nerf, training_views
+from carff.pcvae import Pcvae
+from carff.pcvae_training import train_pcvae
+from carff.scene_info import SceneInfo, scene_info
+from carff.states import StateTable, build_state_table
+from carff.transitions import TransitionSampler, ViewBeliefs
+from hashnerf.command_line import plain_config, save_config, set_threads
+from hashnerf.posed_images import PosedImages, load_posed_images
+from hashnerf.random_state import seed_everything
+
+CONFIG, SCENE = "config.yaml", "scene.json"
+BIRDS_EYE = "birds_eye"
+
+
+def device_of(config: CarffConfig) -> torch.device:
+    """Returns the device that the config asks for."""
+    if config.device == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    return torch.device(config.device)
+
+
+def load_data(config: CarffConfig) -> tuple[PosedImages, StateTable]:
+    """Loads the data set, seeds everything and writes the run's config and scene description."""
+    set_threads(config.threads)
+    seed_everything(config.seed)
+    data = load_posed_images(Path(config.dataset), config.image_size or None)
+    table = build_state_table(data)
+    config.folder.mkdir(parents=True, exist_ok=True)
+    save_config(config, config.folder / CONFIG)
+    scene_info(data, table).save(config.folder / SCENE)
+    return data, table
+
+
+def new_pcvae(config: CarffConfig, scene: SceneInfo) -> Pcvae:
+    """Builds an untrained PC-VAE for a scene."""
+    cameras = scene.cameras
+    shape = (len(scene.states), cameras.height, cameras.width)
+    return Pcvae(config.pcvae, cameras.pose, scene.scene_box, *shape).to(device_of(config))
+
+
+def run_pcvae(config: CarffConfig) -> None:
+    """Stage 1."""
+    data, table = load_data(config)
+    pcvae = new_pcvae(config, scene_info(data, table))
+    record = _record(config, "pcvae")
+    train_pcvae(config.pcvae, pcvae, data, table, config.folder / "pcvae", record, config.seed, config.overwrite)
+
+
+def run_nerf(config: CarffConfig) -> None:
+    """Stage 2: without the bird's-eye camera, then on with it."""
+    data, table = load_data(config)
+    pcvae, _ = load_pcvae(config, scene_info(data, table))
+    beliefs = encode_views(pcvae, data, table.view_index("train"))
+    nerf = build_nerf(config.nerf, beliefs, data.scene_box, config.seed).to(device_of(config))
+    fabric = Fabric(accelerator=device_of(config).type, devices=1)
+    held_out = training_views(table, (BIRDS_EYE,))
+    record = _record(config, "nerf")
+    train_nerf(
+        config.nerf, nerf, data, held_out, config.folder / "nerf", record, config.nerf.steps, fabric, config.overwrite
+    )
+    more = config.nerf.birds_eye_steps
+    views = training_views(table)
+    if more == 0 or torch.equal(views, held_out):
+        return
+    load_model(config.folder / "nerf", lambda _: nerf, "scripts/train_nerf.py")
+    settled = replace(
+        config.nerf,
+        fresh_start=0.0,
+        fresh_end=0.0,
+        fit=replace(
+            config.nerf.fit, learning_rate=config.nerf.fit.final_learning_rate * 2, seed=config.nerf.fit.seed + 1
+        ),
+    )
+    train_nerf(settled, nerf, data, views, config.folder / "nerf_birds_eye", record, more, fabric, config.overwrite)
+
+
+def run_mdn(config: CarffConfig) -> None:
+    """Stage 3."""
+    data, table = load_data(config)
+    pcvae, _ = load_pcvae(config, scene_info(data, table))
+    beliefs = encode_views(pcvae, data, table.view_index("train"))
+    mdn = build_mdn(config.mdn, pcvae.latent_size)
+    sampler = TransitionSampler(beliefs, table.successor, table.camera_poses, config.mdn.transitions, config.seed)
+    train_mdn(config.mdn, mdn, sampler, config.folder / "mdn", _record(config, "mdn"), config.overwrite)
+
+
+def load_pcvae(config: CarffConfig, scene: SceneInfo) -> tuple[Pcvae, dict]:
+    """Loads the trained PC-VAE of a run, and what its training cost."""
+    folder = config.folder / "pcvae"
+    pcvae, cost = load_model(folder, lambda _: new_pcvae(config, scene), "scripts/train_pcvae.py")
+    return pcvae.eval(), cost
+
+
+def encode_views(pcvae: Pcvae, data: PosedImages, view_index: Int[Tensor, "states cameras"]) -> ViewBeliefs:
+    """Encodes every view in the index."""
+    valid = view_index >= 0
+    belief = pcvae.encode(data.images[view_index[valid]])
+    shape = (*view_index.shape, pcvae.latent_size)
+    means, logvars = torch.zeros(shape), torch.zeros(shape)
+    means[valid], logvars[valid] = belief.mean.cpu(), belief.logvar.cpu()
+    return ViewBeliefs(means, logvars, valid)
+
+
+def _record(config: CarffConfig, stage: str) -> dict:
+    """What a stage depends on: if it changes, the stage must be trained again."""
+    names = {"pcvae": ("pcvae",), "nerf": ("pcvae", "nerf"), "mdn": ("pcvae", "mdn")}[stage]
+    plain = plain_config(config)
+    return {key: plain[key] for key in ("dataset", "image_size", "seed", *names)}
