@@ -69,7 +69,7 @@ def undistort(
         halfway = (ideal.norm(dim=-1) + limit) / 2
         ideal = _shortened(ideal - _newton_step(ideal, residual, lens), halfway)
     residual = distort(ideal, lens) - target
-    good = (residual.abs().amax(-1) <= tolerance) & (ideal.norm(dim=-1) < limit)
+    good = residual.abs().amax(-1) <= tolerance
     return ideal.to(points.dtype), good & (_jacobian_determinant(ideal, lens) > 0)
 
 

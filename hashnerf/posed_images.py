@@ -256,7 +256,7 @@ def _assemble(folder: Path, document: dict, views: list[_View]) -> PosedImages:
     cameras = Cameras(torch.from_numpy(poses).float(), lens[:, :2], lens[:, 2:4], lens[:, 4:], width, height)
     images = torch.from_numpy(np.stack([view.image for view in views]))
     extras = {key: document[key] for key in document if key not in (*CAMERA_KEYS, "frames", "scene_box")}
-    for boxes in extras.get("actors", {}).values():
+    for boxes in (extras.get("actors") or {}).values():
         for actor in boxes:
             actor["center"] = [value - shift for value, shift in zip(actor["center"], origin.tolist())]
     return PosedImages(

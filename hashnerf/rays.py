@@ -30,7 +30,5 @@ def unit_directions(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch
     largest = vectors.detach().abs().amax(dim=-1, keepdim=True)
     if not bool(((largest > 0) & torch.isfinite(largest)).all()):
         raise UserError("a ray direction is zero or not finite; every direction needs a finite length above zero")
-    # A subnormal cannot be divided by another one to full precision: lift them by a power of two, which is exact.
-    lift = torch.where(largest < 2.0**-100, 2.0**64, 1.0).to(vectors.dtype)
-    scaled = (vectors * lift) / (largest * lift)
+    scaled = vectors / largest
     return scaled / scaled.norm(dim=-1, keepdim=True)

@@ -217,13 +217,15 @@ def _visibility(document: dict, views: list[tuple[int, int, int]]) -> Iterator[s
 
 
 def _world(document: dict, views: list[tuple[int, int, int]]) -> Iterator[str]:
-    if not isinstance(document.get("world", {}), dict):
+    if not isinstance(document.get("world"), (dict, type(None))):
         yield "world must be an object"
 
 
 def _named_lists(document: dict, key: str) -> Iterator[tuple[str, str, object]]:
     """(name, where it is, entry) for all of {name: [entry, ...]}; a string in place of an entry says what is wrong."""
-    table = document.get(key, {})
+    table = document.get(key)
+    if table is None:
+        return
     if not isinstance(table, dict):
         yield "", key, "must be an object of lists by actor name"
         return

@@ -95,15 +95,15 @@ def test_a_lens_that_folds_is_refused_at_the_pixel_and_hidden_in_projection():
 
 
 def test_scaling_moves_a_point_with_the_image():
-    # With centres at +.5, a point at pixel u lands at u/4 in an image a quarter as wide.
+    # With centres at +.5, a point at pixel (u, v) lands at (u/4, v/2) in an image a quarter as wide and half as high.
     cameras = _photo_cameras((-0.1, 0.02, 1e-3, -2e-3))
-    small = cameras.scaled(160, 120)
+    small = cameras.scaled(160, 240)
     index = torch.zeros(1, dtype=torch.int64)
     points = torch.tensor([[0.5, -0.2, 1.3]])
     full, _ = project(cameras, index, points)
-    quarter, _ = project(small, index, points)
-    torch.testing.assert_close(quarter * 4, full)
-    assert (small.width, small.height) == (160, 120)
+    shrunk, _ = project(small, index, points)
+    torch.testing.assert_close(shrunk * torch.tensor([4.0, 2.0]), full)
+    assert (small.width, small.height) == (160, 240)
 
 
 def test_selecting_keeps_rows_in_order():

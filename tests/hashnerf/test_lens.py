@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hashnerf.lens import distort, largest_radius, read_lens, undistort
+from hashnerf.lens import _jacobian, distort, largest_radius, read_lens, undistort
 
 PIXEL = 1 / 500  # one pixel of a camera with focal length 500, in normalised units
 
@@ -56,6 +56,33 @@ def test_undistortion_refuses_the_far_side_of_the_fold():
     )
     roots = np.roots([-0.6, 0, 1, -0.4])
     assert good.item() and float(ideal[0, 0]) == pytest.approx(min(root.real for root in roots if root.real > 0))
+
+
+def test_undistortion_does_not_start_at_the_fold():
+    # k1 > 0 > k2: the point at radius 1.07 is seen at 1.517, right at the fold (1.518), where Newton's slope is zero.
+    lens = _repeat([0.58099, -0.18904, 0.0, 0.0], 1)
+    point = torch.tensor([[0.0, 1.07]], dtype=torch.float64)
+    assert float(distort(point, lens).norm()) == pytest.approx(float(largest_radius(lens)), abs=1e-2)
+    ideal, good = undistort(distort(point, lens), lens, torch.tensor([1e-6 * PIXEL], dtype=torch.float64))
+    assert good.item()
+    torch.testing.assert_close(ideal, point, atol=1e-9, rtol=0)
+
+
+def test_a_root_where_the_picture_is_turned_inside_out_is_masked():
+    # An absurd tangential distortion has no root near the image; Newton finds one at radius 3.4, mirrored.
+    lens = _repeat([0.28506843027891415, -0.007461782244459536, 0.05874066477103013, -0.30077877723435686], 1)
+    point = torch.tensor([[0.5049267577822076, -0.3659283742637527]], dtype=torch.float64)
+    ideal, good = undistort(point, lens, torch.tensor([2e-9], dtype=torch.float64))
+    torch.testing.assert_close(distort(ideal, lens), point)
+    assert not good.item()
+
+
+def test_newton_uses_the_exact_jacobian():
+    points = torch.tensor([[0.3, -0.7], [-0.5, 0.2]], dtype=torch.float64)
+    lens = _repeat([-0.1, 0.02, 0.03, -0.04], 2)
+    full = torch.autograd.functional.jacobian(lambda p: distort(p, lens).sum(0), points)  # [out, n, in]
+    xx, xy, yy = _jacobian(points, lens)
+    torch.testing.assert_close(torch.stack([torch.stack([xx, xy], -1), torch.stack([xy, yy], -1)]), full)
 
 
 @settings(max_examples=150, deadline=None)

@@ -26,6 +26,12 @@ def test_psnr_worked_by_hand():
     assert psnr(truth + 0.1, truth) == pytest.approx(20)
 
 
+def test_small_errors_are_not_lost_to_rounding():
+    # an error of 1e-7 is 140 dB; float32 next to .9 knows only multiples of 6e-8
+    truth = torch.full((4, 4, 3), 0.9, dtype=torch.float64)
+    assert psnr(truth + 1e-7, truth) == pytest.approx(140, abs=1e-4)
+
+
 def test_predictions_are_clipped_as_when_saved():
     assert psnr(torch.full((2, 2, 3), 1.2), torch.ones(2, 2, 3)) == math.inf
     assert mse(torch.full((2, 2, 3), -0.5), torch.full((2, 2, 3), 0.5)) == pytest.approx(0.25)

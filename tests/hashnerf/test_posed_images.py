@@ -4,6 +4,7 @@ import copy
 import json
 import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -313,5 +314,18 @@ def test_a_missing_folder_and_a_file_with_nan_are_named(folder):
 def test_one_camera_in_two_states_and_one_image_alone_are_enough(folder):
     _edit(folder, lambda document: document.update(frames=document["frames"][0:4:3]))
     assert [frame.branch for frame in load_posed_images(folder).frames] == [0, 1]
-    _edit(folder, lambda document: [document.update(frames=document["frames"][:1], states=None, actors={})])
+    _edit(folder, lambda document: [document.update(frames=document["frames"][:1], states=None, actors=None)])
     assert len(load_posed_images(folder)) == 1
+
+
+def test_the_example_in_the_documentation_loads(tmp_path):
+    page = (Path(__file__).parents[2] / "data" / "README.md").read_text(encoding="utf-8")
+    document = json.loads(page.split("```json")[1].split("```")[0])
+    write_transforms(tmp_path / "transforms.json", document)
+    for frame in document["frames"]:
+        write_png(tmp_path / frame["file_path"], np.zeros((480, 640, 3), np.uint8))
+    posed = load_posed_images(tmp_path)
+    # Both stand 1.5 m up and look along +x: 10 m ahead is the image centre, and 1 m left of that is 50 pixels left.
+    pixel, depth = project(posed.cameras, torch.tensor([0, 2]), torch.tensor([[10.0, 0, 1.5], [15.0, 1, 1.5]]))
+    torch.testing.assert_close(pixel, torch.tensor([[320.0, 240.0], [270.0, 240.0]]))
+    assert depth.tolist() == [10, 10] and missing_views(posed) == []

@@ -98,14 +98,15 @@ def test_what_is_not_json_is_not_written(tmp_path, value):
     assert os.listdir(tmp_path) == ["transforms.json"]
 
 
-def test_a_crash_while_writing_leaves_the_old_file(tmp_path, monkeypatch):
+@pytest.mark.parametrize("step", ["fsync", "replace"])
+def test_a_crash_while_writing_leaves_the_old_file(tmp_path, monkeypatch, step):
     path = tmp_path / "transforms.json"
     write_transforms(path, {"w": 1})
 
-    def full_disk(descriptor):
+    def full_disk(*arguments):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(transforms_json.os, "fsync", full_disk)
+    monkeypatch.setattr(transforms_json.os, step, full_disk)
     with pytest.raises(UserError, match=r"transforms.json: cannot be written \(No space left"):
         write_transforms(path, {"w": 2})
     assert read_transforms(path) == {"w": 1} and os.listdir(tmp_path) == ["transforms.json"]
