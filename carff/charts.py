@@ -1,7 +1,7 @@
 """Figures made of numbers: training curve, latents in the plane, PSNR matrix, curves, calibration, plans, drives and
 cost.
 
-Shares are in [0, 1] and drawn in per cent, PSNR is in dB, time in seconds, memory in MiB. Intervals and bands are the
+Shares are in [0, 1] and drawn in per cent, PSNR is in dB, time in seconds, memory in MB. Intervals and bands are the
 95 % ones that the metrics computed. Every function returns a matplotlib figure; `figure_style.png_bytes` turns it into
 a file.
 """
@@ -32,7 +32,7 @@ from carff.figure_style import (
     style_chart,
 )
 from carff.forecast_metrics import VISIBILITY_CLASSES, AccuracyRecall, Curve
-from carff.planning_metrics import PlanRow
+from carff.planning_metrics import PlanRow, policy_label
 
 SHOWN_DRAWS = (1, 5, 10, 20, 35, 50)
 POLICY_COLOURS = {"risk": BLUE, "paper": AMBER, "oracle": GREEN}
@@ -113,7 +113,7 @@ def psnr_heatmap(
                 va="center",
                 fontsize=SMALL + (0 if columns > 8 else 1),
                 fontweight="bold" if matched else "normal",
-                color=PAPER if matched or difference[row, column] > -1.5 else INK,
+                color=PAPER if matched or difference[row, column] > -1.1 else INK,
             )
     axes.set_xticks(
         range(columns), style.names, rotation=30 if columns > 4 else 0, ha="right" if columns > 4 else "center"
@@ -219,7 +219,7 @@ def planning_chart(rows: Sequence[PlanRow], paper: Mapping[tuple[str, int | None
                 axes.plot(reference, place, marker="D", markersize=8, mfc="none", mec=INK, mew=0.9, zorder=4)
         _percent_axis(axes)
         style_chart(axes, title, "decisions that were right")
-    panels[0].set_yticks(places, [row.rule if row.n is None else f"{row.rule}, n = {row.n}" for row in rows])
+    panels[0].set_yticks(places, [policy_label(row.rule, row.n) for row in rows])
     panels[0].set_ylim(-0.6, len(rows) - 0.4)
     return figure
 
@@ -246,17 +246,17 @@ def closed_loop_chart(policies: Mapping[str, Mapping]) -> Figure:
     style_chart(panels[0], "collisions", "of all episodes")
     style_chart(panels[1], "needless stops", "of the episodes with a clear way")
     style_chart(panels[2], "time to cross", "seconds (median and quartiles)")
-    panels[0].set_yticks(places, list(policies))
+    panels[0].set_yticks(places, [policy_label(name) for name in policies])
     panels[0].set_ylim(-0.6, len(policies) - 0.4)
     return figure
 
 
 def stages_chart(stages: Sequence[Mapping]) -> Figure:
-    """Wall-clock time and peak memory of every stage (`name`, `seconds`, `peak_memory_mib`), in the order they ran."""
+    """Wall-clock time and peak memory of every stage (`name`, `seconds`, `peak_memory_mb`), in the order they ran."""
     figure = new_figure(FULL_WIDTH, 0.32 * len(stages) + 0.9)
     panels = figure.subplots(1, 2, sharey=True)
     places = range(len(stages))[::-1]
-    for axes, key, colour, unit in ((panels[0], "seconds", BLUE, "s"), (panels[1], "peak_memory_mib", MUTED, "MiB")):
+    for axes, key, colour, unit in ((panels[0], "seconds", BLUE, "s"), (panels[1], "peak_memory_mb", MUTED, "MB")):
         values = [stage[key] or 0.0 for stage in stages]
         axes.barh(places, values, color=colour, height=0.6)
         for place, value in zip(places, values):
@@ -266,7 +266,7 @@ def stages_chart(stages: Sequence[Mapping]) -> Figure:
         axes.set_xlim(0, 1.2 * max([*values, 1.0]))
         axes.grid(visible=False, axis="y")
     style_chart(panels[0], "wall clock", "seconds")
-    style_chart(panels[1], "peak memory", "MiB")
+    style_chart(panels[1], "peak memory", "MB")
     panels[0].set_yticks(places, [stage["name"] for stage in stages])
     return figure
 

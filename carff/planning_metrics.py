@@ -15,7 +15,14 @@ from jaxtyping import Bool
 
 from carff.intervals import wilson_interval
 
-UNDERCONFIDENT, OVERCONFIDENT = "underconfident", "overconfident"
+ALWAYS_STOP, ALWAYS_GO = "always_stop", "always_go"
+POLICY_LABELS = {
+    ALWAYS_STOP: "always stop (under-confident)",
+    ALWAYS_GO: "always go (over-confident)",
+    "oracle": "all-seeing oracle",
+    "risk": "risk rule",
+    "paper": "paper rule",
+}
 # CARFF Table 3, 30 trials on one image of the authors' own data: (waits at a hazard, goes when clear).
 PAPER_SUCCESS = {
     "intersection": {("paper", 2): (17 / 30, 1.0), ("paper", 10): (1.0, 1.0), ("paper", 35): (1.0, 19 / 30)},
@@ -65,6 +72,12 @@ class Episode:
     decisions: int
 
 
+def policy_label(policy: str, n: int | None = None) -> str:
+    """How a policy or rule, with its number of samples, is called in figures and tables."""
+    label = POLICY_LABELS.get(policy, policy.replace("_", " "))
+    return label if n is None else f"{label}, n = {n}"
+
+
 def rate(successes: int, trials: int, confidence: float = 0.95) -> Rate:
     """A share with its Wilson interval; None everywhere for zero trials."""
     if trials == 0:
@@ -79,14 +92,14 @@ def planning_table(
     """Rows like CARFF Table 3: both baselines, then every (rule, n) of `decisions`, True meaning go."""
     trials = max((go.shape[1] for go in decisions.values()), default=1)
     baselines = {
-        (UNDERCONFIDENT, None): np.zeros((len(hazard), trials), dtype=bool),
-        (OVERCONFIDENT, None): np.ones((len(hazard), trials), dtype=bool),
+        (ALWAYS_STOP, None): np.zeros((len(hazard), trials), dtype=bool),
+        (ALWAYS_GO, None): np.ones((len(hazard), trials), dtype=bool),
     }
     return [_row(rule, n, go, hazard) for (rule, n), go in (baselines | dict(decisions)).items()]
 
 
 def plan_results(rows: Iterable[PlanRow]) -> dict:
-    """The table as nested keys, such as `risk.n10.hazard_success` and `underconfident.clear_interval`."""
+    """The table as nested keys, such as `risk.n10.hazard_success` and `always_stop.clear_interval`."""
     results: dict = {}
     for row in rows:
         place = results.setdefault(row.rule, {})

@@ -10,7 +10,6 @@ reader never sees half a report.
 import base64
 import json
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ from carff.report_sections import SECTIONS
 from carff.report_tables import number
 from carff.targets import Verdict, derived, judge, lookup, reason_for
 from hashnerf.errors import UserError
+from hashnerf.transforms_json import write_atomically
 
 REQUIRED_KEYS = (
     "seconds_total",
@@ -88,13 +88,14 @@ def write_report(
         raise UserError(
             f"report: no value for {', '.join(missing)}; measure it, or say in `not_run` why it cannot be measured"
         )
-    results = derived(results)
+    results = derived(_python(results))
     verdicts = judge(results, run.preset, reasons)
-    document = _strict({"run": asdict(run), **results, "targets": _target_rows(verdicts), "not_run": reasons})
+    document = _finite({"run": asdict(run), **results, "targets": _target_rows(verdicts), "not_run": reasons})
     text = json.dumps(document, indent=2, allow_nan=False, ensure_ascii=False)
     page = _page(run, results, figures, reasons, verdicts)
-    _write_atomically(folder / "report.json", text + "\n")
-    return _write_atomically(folder / "report.html", page)
+    write_atomically(folder / "report.json", f"{text}\n".encode())
+    write_atomically(folder / "report.html", page.encode())
+    return folder / "report.html"
 
 
 def _page(
@@ -153,29 +154,19 @@ def _target_rows(verdicts: list[Verdict]) -> list[dict]:
     ]
 
 
-def _strict(value: Any) -> Any:
-    """The value in JSON's own types: numpy scalars and arrays unpacked, numbers that are not finite as None."""
+def _python(value: Any) -> Any:
+    """The value in Python's own types: numpy scalars and arrays unpacked, keys as text."""
     if isinstance(value, Mapping):
-        return {str(key): _strict(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return _strict(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [_strict(item) for item in value]
-    if isinstance(value, np.generic):
-        return _strict(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+        return {str(key): _python(item) for key, item in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    return [_python(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
-def _write_atomically(path: Path, text: str) -> Path:
-    beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with beside.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
-    return path
+def _finite(value: Any) -> Any:
+    """The value with None in the place of every number that JSON cannot hold."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from carff.planning_metrics import policy_label
 from carff.targets import lookup
 
 DASH = "–"
@@ -22,7 +23,7 @@ class Table:
     note: str = ""
 
 
-def number(value: float | None, unit: str = "", digits: int | None = None) -> str:
+def number(value: float | int | None, unit: str = "", digits: int | None = None) -> str:
     """A number with its unit; `%` and `points` are stored as shares, `min` as seconds."""
     if value is None:
         return DASH
@@ -34,7 +35,7 @@ def number(value: float | None, unit: str = "", digits: int | None = None) -> st
     return f"{value * scale:.{digits}f} {unit}".strip().replace("-", "−")
 
 
-def share(value: float | None, interval: Sequence[float] | None = None) -> str:
+def share(value: float | int | None, interval: Sequence[float] | None = None) -> str:
     """A share in per cent with its interval in brackets."""
     if value is None or interval is None:
         return number(value, "%")
@@ -138,7 +139,7 @@ def plan_tables(results: Mapping) -> list[Table]:
     for rule, entry in results.get("plan", {}).items():
         counts = {name: value for name, value in entry.items() if isinstance(value, Mapping)} or {"": entry}
         for name, row in counts.items():
-            title = f"{rule}, n = {name[1:]}" if name else rule
+            title = policy_label(rule, int(name[1:]) if name else None)
             rows.append((title, *_plan_cells(row, "hazard"), *_plan_cells(row, "clear")))
     header = ("controller", "hazard: waits", "trials", "worst image", "clear: goes", "trials", "worst image")
     return [Table(header, tuple(rows))] if rows else []
@@ -155,7 +156,7 @@ def closed_loop_tables(results: Mapping) -> list[Table]:
     """Collisions, needless stops and time to cross of every policy."""
     rows = tuple(
         (
-            name,
+            policy_label(name),
             number(row.get("episodes")),
             f"{row['collisions']}",
             share(row.get("collision_rate"), row.get("collision_interval")),
@@ -171,7 +172,7 @@ def closed_loop_tables(results: Mapping) -> list[Table]:
 def cost_tables(results: Mapping) -> list[Table]:
     """Time and memory of every stage."""
     rows = tuple(
-        (stage["name"], number(stage["seconds"], "s"), number(stage["peak_memory_mib"], "MiB", 0))
+        (stage["name"], number(stage["seconds"], "s"), number(stage["peak_memory_mb"], "MB", 0))
         for stage in results.get("stages", ())
     )
     total = (("whole run", number(results.get("seconds_total"), "s"), DASH),)

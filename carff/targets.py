@@ -64,7 +64,7 @@ class Verdict:
     target: Target
     limit: float | None
     """None where the preset is not judged on this figure."""
-    measured: float | None
+    measured: float | int | None
     met: bool | None
     """None where there is no limit or the figure was not run."""
     reason: str
@@ -120,12 +120,12 @@ def _verdict(target: Target, results: Mapping, preset: str, not_run: Mapping[str
     return Verdict(target, limit, measured, None if limit is None else _keeps(measured, target.comparison, limit), "")
 
 
-def _keeps(measured: float, comparison: str, limit: float) -> bool:
+def _keeps(measured: float | int, comparison: str, limit: float) -> bool:
     if not math.isfinite(measured):
         return False
     distance = {">=": measured - limit, "<=": limit - measured, "==": -abs(measured - limit)}[comparison]
     return distance >= -SLACK
 
 
-def _difference(a: float | None, b: float | None) -> float | None:
+def _difference(a: float | int | None, b: float | int | None) -> float | None:
     return None if a is None or b is None else a - b

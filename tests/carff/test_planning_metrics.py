@@ -2,12 +2,13 @@ import numpy as np
 import pytest
 
 from carff.planning_metrics import (
-    OVERCONFIDENT,
-    UNDERCONFIDENT,
+    ALWAYS_GO,
+    ALWAYS_STOP,
     Episode,
     closed_loop_results,
     plan_results,
     planning_table,
+    policy_label,
     rate,
 )
 
@@ -21,8 +22,8 @@ def _episode(policy: str = "risk", hazard: bool = False, **values) -> Episode:
 
 def test_baselines_are_right_on_one_side_only():
     under, over = planning_table({}, HAZARD)
-    assert (under.rule, under.hazard.share, under.clear.share) == (UNDERCONFIDENT, 1.0, 0.0)
-    assert (over.rule, over.hazard.share, over.clear.share) == (OVERCONFIDENT, 0.0, 1.0)
+    assert (under.rule, under.hazard.share, under.clear.share) == (ALWAYS_STOP, 1.0, 0.0)
+    assert (over.rule, over.hazard.share, over.clear.share) == (ALWAYS_GO, 0.0, 1.0)
     assert under.n is None
 
 
@@ -53,7 +54,7 @@ def test_results_nest_by_rule_and_n():
     assert results["risk"]["n10"]["hazard_success"] == results["risk"]["n10"]["clear_success"] == 1.0
     assert results["paper"]["n35"]["hazard_success"] == 0.0
     assert results["risk"]["n10"]["hazard_count"] == [6, 6]
-    assert results[OVERCONFIDENT]["clear_success"] == 1.0
+    assert results[ALWAYS_GO]["clear_success"] == 1.0
     assert len(results["risk"]["n10"]["clear_interval"]) == 2
 
 
@@ -80,6 +81,11 @@ def test_a_policy_that_never_crosses_and_never_met_a_clear_way():
     results = closed_loop_results([_episode(hazard=True, stopped=True, time_to_cross=None)])["risk"]
     assert results["time_to_cross_s"] is None and results["time_to_cross_quartiles_s"] is None
     assert results["needless_stop_rate"] is None and results["needless_stop_interval"] is None
+
+
+def test_policies_have_names_for_people():
+    assert policy_label("risk", 10) == "risk rule, n = 10" and policy_label("always_go").startswith("always go")
+    assert policy_label("my_rule") == "my rule"
 
 
 def test_no_episodes_no_policies():
