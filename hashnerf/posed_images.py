@@ -145,7 +145,9 @@ def load_depth(posed: PosedImages) -> Float[Tensor, "n h w"]:
 def _read_view(folder: Path, document: dict, row: int, entry: object, image_size: int | None) -> _View:
     if not isinstance(entry, dict):
         return _View(f"frame {row}", problems=["must be an object with file_path and transform_matrix"])
-    view = _View(f"frame {row} ({str(entry.get('file_path'))[:80]})")
+    # One line a problem: a file name must not smuggle in line breaks or terminal codes.
+    shown = "".join(letter if letter.isprintable() else "?" for letter in str(entry.get("file_path"))[:80])
+    view = _View(f"frame {row} ({shown})")
     _read_frame(view, entry, row)
     view.pose, problem = read_pose(entry.get("transform_matrix"))
     if problem is not None:

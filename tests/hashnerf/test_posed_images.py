@@ -303,6 +303,12 @@ def test_every_problem_comes_in_one_report(folder):
     assert len(problems) == 5 and all(problem.startswith(start) for problem, start in zip(problems, expected))
 
 
+def test_a_file_name_cannot_break_the_report_into_lines(folder):
+    _edit(folder, lambda document: document["frames"][4].update(file_path="a\n\x1b[31mb.png"))
+    (problem,) = _problems(folder)
+    assert problem.startswith("frame 4 (a??[31mb.png): ") and problem.isprintable()
+
+
 def test_a_missing_folder_and_a_file_with_nan_are_named(folder):
     with pytest.raises(UserError, match=r"nowhere/transforms.json: not found"):
         load_posed_images(folder / "nowhere")
