@@ -34,6 +34,8 @@ class DecoderConfig:
     """Hidden units of `components`, or channels of the first feature map of `conv`."""
     targets: int = 2
     """Target cameras decoded per encoded picture and step by `conv`."""
+    balance: bool = True
+    """Let `components` count every camera alike: its error is divided by how much its own pictures change."""
 
     def __post_init__(self):
         for key in ("components", "width", "targets"):
@@ -47,6 +49,7 @@ class ComponentsDecoder(nn.Module):
     def __init__(self, config: DecoderConfig, latent_size: int, cameras: int, states: int, height: int, width: int):
         super().__init__()
         self.rank = min(config.components, max(states - 1, 1))
+        self.balance = config.balance
         self.picture_shape = (height, width, 3)
         pixels = height * width * 3
         self.register_buffer("mean", torch.zeros(cameras, pixels))
@@ -80,7 +83,19 @@ class ComponentsDecoder(nn.Module):
             targets[present, camera, :rank] = centred @ basis.T
         self.scale.copy_(targets.square().mean(dim=0).sqrt().clamp(min=1e-3))
         self.targets = targets
-        self.target_valid = (view_index >= 0).float()
+        self.target_weight = (view_index >= 0).float() * self._camera_weight(targets)
+
+    def _camera_weight(self, targets: Float[Tensor, "states cameras rank"]) -> Float[Tensor, " cameras"]:
+        """Returns each camera's weight in the loss, 1 on average over what changes.
+
+        A camera with a car right in front of it changes a hundred times more than one that sees the whole crossing from
+        afar; without weights the latent learns the former and ignores what only the latter shows.
+        """
+        energy = targets.square().sum(dim=-1).mean(dim=0)
+        if not self.balance or not energy.any():
+            return torch.ones_like(energy)
+        weight = 1 / (energy + 0.1 * energy[energy > 0].median())
+        return weight * energy.sum() / (weight * energy).sum()
 
     def coefficients(self, latents: Float[Tensor, "b d"]) -> Float[Tensor, "b cameras rank"]:
         """Returns every camera's coefficients."""
@@ -89,12 +104,15 @@ class ComponentsDecoder(nn.Module):
     def reconstruction_loss(
         self, latents: Float[Tensor, "b d"], state: Int[Tensor, " b"], generator: torch.Generator
     ) -> Float[Tensor, ""]:
-        """Returns the pixel-mean squared error over all target cameras (up to the part no component reaches)."""
+        """Returns the pixel-mean squared error over all target cameras, weighted by camera if balanced.
+
+        The part of the pictures that no component reaches is left out: no latent can change it.
+        """
         del generator  # every camera is a target: nothing to draw
         target = self.targets.to(latents.device)[state]
-        valid = self.target_valid.to(latents.device)[state]
+        weight = self.target_weight.to(latents.device)[state]
         squared = (self.coefficients(latents) - target).square().sum(dim=-1)
-        return (squared * valid).sum() / valid.sum().clamp(min=1) / self.mean.shape[1]
+        return (squared * weight).sum() / (weight > 0).sum().clamp(min=1) / self.mean.shape[1]
 
     def pictures(self, latents: Float[Tensor, "b d"], camera: Int[Tensor, " b"]) -> Float[Tensor, "b h w 3"]:
         """Returns the picture of each latent from its camera."""

@@ -16,6 +16,9 @@ from hashnerf.posed_images import PosedImages
 from hashnerf.training_run import TrainingRun
 
 LOG_EVERY = 10
+# Adam divides the gradient's scale out again, but adds 1e-8 first: gradients of an error of 1e-3 are not far above that.
+LOSS_SCALE = 1e3
+GRADIENT_LIMIT = 10.0
 
 
 def train_pcvae(
@@ -57,8 +60,8 @@ def train_pcvae(
             weight = delayed_linear(epoch, config.kl_start, config.kl_end, config.kl_ramp_start, config.kl_ramp_end)
             optimizer.param_groups[0]["lr"] = config.lr * rate_factor(step, config.steps)
             optimizer.zero_grad(set_to_none=True)
-            (error + weight * divergence).backward()
-            norm = clip_grad_norm_(pcvae.parameters(), 1.0)
+            (LOSS_SCALE * (error + weight * divergence)).backward()
+            norm = clip_grad_norm_(pcvae.parameters(), GRADIENT_LIMIT)
             if guard.accepts(step, {"error": error, "kl": divergence, "gradient": norm}):
                 optimizer.step()
             if step % LOG_EVERY == 0 or step + 1 == config.steps:
