@@ -52,7 +52,7 @@ class CarffModel:
         """Returns `n` sampled futures of one belief, `ahead` steps far."""
         return roll_out(belief, self.mdn, self.probe, self.nerf.density, self.state_beliefs, n, ahead, generator)
 
-    def probe_latents(self, latents: Float[Tensor, "n d"], at_once: int = 64) -> Int[Tensor, " n"]:
+    def probe_latents(self, latents: Float[Tensor, "n d"], at_once: int = 512) -> Int[Tensor, " n"]:
         """Returns the probed state of each latent's scene, -1 where unknown."""
         parts = [self.probe.classify(self.probe.scores(part, self.nerf.density)) for part in latents.split(at_once)]
         return torch.cat(parts)

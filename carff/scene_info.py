@@ -26,6 +26,8 @@ class SceneInfo:
     camera_kinds: tuple[str, ...]
     cameras: Cameras
     scene_box: Float[Tensor, "2 3"]
+    world: dict | None = None
+    """How to build the embedded world that the data set was rendered from; None for any other data set."""
 
     @property
     def branch(self) -> Int[Tensor, " states"]:
@@ -63,6 +65,7 @@ class SceneInfo:
                 "height": cameras.height,
             },
             "scene_box": self.scene_box.tolist(),
+            "world": self.world,
         }
         write_transforms(path, plain)
 
@@ -79,6 +82,7 @@ def scene_info(data: PosedImages, table: StateTable) -> SceneInfo:
         table.camera_kinds,
         data.cameras.select(first_frame),
         data.scene_box,
+        data.extras.get("world"),
     )
 
 
@@ -99,6 +103,7 @@ def load_scene_info(path: Path) -> SceneInfo:
             tuple(plain["camera_kinds"]),
             Cameras(**tensors, width=camera["width"], height=camera["height"]),
             torch.tensor(plain["scene_box"]),
+            plain["world"],
         )
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path}: not written by a training run ({error}); train the run again") from error

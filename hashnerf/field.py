@@ -13,6 +13,7 @@ from typing import Literal
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from hashnerf.activations import at_least_float32, truncated_exp
 from hashnerf.errors import UserError
@@ -115,6 +116,17 @@ class ConditionedMLP(nn.Module):
         """Apply the network."""
         return self.rest(self.first(x, condition, index))
 
+    def first_output_bank(
+        self, x: Float[Tensor, "s inputs"], conditions: Float[Tensor, "bank c"] | None
+    ) -> Float[Tensor, "bank_or_one s"]:
+        """Return the first output at each sample under each condition of a bank; what conditions share is done once."""
+        shared = self.first.inputs(x)
+        shifts = [torch.zeros_like(shared[0])] if conditions is None else self.first.condition(conditions)
+        last = self.rest[-1]
+        # One condition at a time: its hidden values stay in the cache.
+        rows = [F.linear(self.rest[:-1](shared + shift), last.weight[:1], last.bias[:1])[:, 0] for shift in shifts]
+        return torch.stack(rows)
+
 
 class Field(nn.Module):
     """A conditioned radiance field over a box (metres)."""
@@ -177,10 +189,11 @@ class Field(nn.Module):
         self, positions: Float[Tensor, "p 3"], conditions: Float[Tensor, "bank c"] | None
     ) -> Float[Tensor, "bank_or_one p"]:
         """Return the density (1/m) at each position under each condition of a bank; positions are encoded once."""
+        self._check(conditions)
         features = self.hash_grid(positions)
-        rows = [None] if conditions is None else conditions.split(1)
-        index = None if conditions is None else torch.zeros(len(positions), dtype=torch.int64, device=positions.device)
-        return torch.stack([self._density_of_features(features, row, index)[0] for row in rows])
+        with self._autocast(features.device):
+            out = self.density_network.first_output_bank(features, conditions)
+        return truncated_exp(at_least_float32(out) + self.log_initial_density)
 
     def forward(
         self,
