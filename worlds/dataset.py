@@ -1,0 +1,159 @@
+"""Rendering a world into a data set folder: images, depth, and every ground-truth fact in `transforms.json`.
+
+Each view follows from (config, seed) alone, so the files do not depend on the number of worker processes.
+"""
+
+import multiprocessing
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image
+
+from hashnerf.cameras import Cameras
+from hashnerf.transforms_json import write_transforms
+from worlds.raycast import Caster
+from worlds.scenarios import ScenarioConfig, build_world
+from worlds.scene import Scene, World
+from worlds.view import StaticView
+
+VERSION = 1
+"""Rises when the same config and seed give other pictures; a data set of another version is not up to date."""
+
+Visibility = dict[str, list[list[int]]]
+"""Rows [branch, step, camera, visible px, px without occluders] by actor."""
+
+
+def world_description(world: World) -> dict[str, Any]:
+    """The `world` entry of a data set: enough to build the same world again."""
+    return {"scenario": world.scenario, "seed": world.seed, "version": VERSION, "config": asdict(world.config)}
+
+
+def write_dataset(
+    config: ScenarioConfig,
+    seed: int,
+    folder: Path,
+    image_size: int,
+    workers: int,
+    on_camera: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, Any]:
+    """Renders every state from every camera into the empty `folder`; returns what it wrote to `transforms.json`."""
+    world = build_world(config, seed)
+    (folder / "images").mkdir()
+    (folder / "depth").mkdir()
+    visibility: Visibility = {name: [] for name in world.actors}
+    total = len(world.rig.kinds)
+    for done, part in enumerate(_render_all(config, seed, folder, image_size, workers, total), 1):
+        for name, rows in part.items():
+            visibility[name] += rows
+        on_camera(done, total)
+    document = describe(world, image_size, {name: sorted(rows) for name, rows in visibility.items()})
+    write_transforms(folder / "transforms.json", document)
+    return document
+
+
+def view_name(branch: int, step: int, camera: int) -> str:
+    """File name of a view without its folder."""
+    return f"b{branch}_s{step}_c{camera:03d}.png"
+
+
+class _Renderer:
+    """Writes all states as one camera sees them."""
+
+    def __init__(self, config: ScenarioConfig, seed: int, folder: Path, image_size: int):
+        self.world, self.folder = build_world(config, seed), folder
+        self.cameras: Cameras = self.world.rig.cameras.scaled(image_size, image_size)
+        self.scenes = [Scene(self.world, state.poses) for state in self.world.states]
+        self.alone = [
+            {name: Caster([(1, scene.mesh(name))]) for name in self.world.actors if name in scene.poses}
+            for scene in self.scenes
+        ]
+
+    def __call__(self, index: int) -> Visibility:
+        static = StaticView(self.world.stage, self.cameras, index)
+        visibility: Visibility = {name: [] for name in self.world.actors}
+        for state, scene, alone in zip(self.world.states, self.scenes, self.alone):
+            view = static.with_bodies(scene.bodies)
+            name = view_name(state.branch, state.step, index)
+            Image.fromarray(view.rgb).save(self.folder / "images" / name, compress_level=5)
+            millimetres = np.rint(np.clip(view.depth * 1000.0, 0.0, 65535.0)).astype(np.uint16)
+            Image.fromarray(millimetres).save(self.folder / "depth" / name, compress_level=3)
+            for actor, body in alone.items():
+                visible = int((view.object_id == self.world.object_id(actor)).sum())
+                visibility[actor].append([state.branch, state.step, index, visible, static.pixels_of(body)])
+        return visibility
+
+
+_renderer: _Renderer | None = None
+"""The renderer of this worker process."""
+
+
+def _start_worker(config: ScenarioConfig, seed: int, folder: Path, image_size: int) -> None:
+    global _renderer
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    torch.set_num_threads(1)
+    _renderer = _Renderer(config, seed, folder, image_size)
+
+
+def _work(index: int) -> Visibility:
+    assert _renderer is not None
+    return _renderer(index)
+
+
+def _render_all(
+    config: ScenarioConfig, seed: int, folder: Path, image_size: int, workers: int, count: int
+) -> Iterator[Visibility]:
+    """One camera after another in order, computed here or by spawned processes."""
+    if workers == 1:
+        yield from map(_Renderer(config, seed, folder, image_size), range(count))
+        return
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, context, _start_worker, (config, seed, folder, image_size))
+    try:
+        yield from pool.map(_work, range(count), chunksize=4)
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def describe(world: World, image_size: int, visibility: Visibility) -> dict[str, Any]:
+    """The `transforms.json` of a world."""
+    actors: dict[str, list[dict[str, Any]]] = {name: [] for name in world.actors}
+    for state in world.states:
+        scene = Scene(world, state.poses)
+        for name in scene.poses:
+            box = scene.box(name)
+            place = {"center": list(box.center), "size": list(box.size), "yaw": box.yaw}
+            actors[name].append({"branch": state.branch, "step": state.step, **place})
+    return {
+        "camera_model": "OPENCV",
+        "w": image_size,
+        "h": image_size,
+        **dict.fromkeys(("k1", "k2", "p1", "p2"), 0.0),
+        "scene_box": world.scene_box.tolist(),
+        "camera_kinds": list(world.rig.kinds),
+        "states": [{"branch": s.branch, "step": s.step, "hazard": s.hazard} for s in world.states],
+        "branches": list(world.branches),
+        "actors": actors,
+        "visibility": visibility,
+        "world": world_description(world),
+        "frames": _frames(world, image_size),
+    }
+
+
+def _frames(world: World, image_size: int) -> list[dict[str, Any]]:
+    cameras = world.rig.cameras.scaled(image_size, image_size)
+    frames = []
+    for state in world.states:
+        for index, split in enumerate(world.rig.splits):
+            name = view_name(state.branch, state.step, index)
+            (fl_x, fl_y), (cx, cy) = cameras.focal[index].tolist(), cameras.centre[index].tolist()
+            frame = {"file_path": f"images/{name}", "depth_path": f"depth/{name}"}
+            frame |= {"branch": state.branch, "step": state.step, "camera": index, "split": split}
+            frame |= {"fl_x": fl_x, "fl_y": fl_y, "cx": cx, "cy": cy}
+            frames.append(frame | {"transform_matrix": cameras.pose[index].tolist()})
+    return frames
