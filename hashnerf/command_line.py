@@ -5,6 +5,7 @@ Later sources win: defaults of the class, then each `--config` file in order, th
 This module never imports torch at load time, so that a typing mistake is answered at once.
 """
 
+import argparse
 import dataclasses
 import difflib
 import errno
@@ -36,11 +37,13 @@ def parse_config(
     """Build a config from `--config FILE` layers and `--key value` overrides; UserError names file, key and value."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     files, overrides = _split_config_files(arguments)
-    parser = jsonargparse.ArgumentParser(exit_on_error=False, allow_abbrev=False, description=description)
+    usage = "%(prog)s [--config FILE]... [--key value]..."
+    parser = jsonargparse.ArgumentParser(exit_on_error=False, allow_abbrev=False, usage=usage, description=description)
     parser.add_argument(
         "--config", metavar="FILE", help="YAML file with these keys; may be repeated, the last one wins."
     )
     parser.add_class_arguments(config_class)
+    _hide_groups(parser)
     for file in files:
         parser.set_defaults(_typed_values(config_class, _read_yaml(Path(file)), file))
     return _parse_overrides(parser, config_class, overrides)
@@ -279,10 +282,17 @@ def _type_name(hint: Any) -> str:
     return hint.__name__ if isinstance(hint, type) and not typing.get_args(hint) else str(hint).replace("typing.", "")
 
 
+def _hide_groups(parser: jsonargparse.ArgumentParser) -> None:
+    """Leave `--group FILE` out of the help: a whole group comes from a --config file, which is checked strictly."""
+    for action in parser._actions:
+        if action.metavar == "CONFIG":
+            action.help = argparse.SUPPRESS
+
+
 def _parse_overrides(parser: jsonargparse.ArgumentParser, config_class: type[Config], overrides: list[str]) -> Config:
     """Apply `--key value` arguments over the parser's defaults and build the config object."""
-    known = [option[2:] for action in parser._actions for option in action.option_strings if option.startswith("--")]
     hints = dict(_leaves(config_class))
+    known = ["help", *hints]
     for argument in overrides:
         name = argument.removeprefix("--").split("=")[0]
         if argument.startswith("--") and name not in known and not any(name.startswith(f"{leaf}.") for leaf in hints):

@@ -161,6 +161,8 @@ def test_an_alias_bomb_is_refused_before_it_is_walked(tmp_path):
         (["--limit", "many"], ["--limit = many", "int or nothing"]),
         (["--train.steps"], ["--train.steps", "expected one argument"]),
         (["stray"], ["stray"]),
+        (["--train", "{steps: 5}"], ["unknown argument --train"]),
+        (["--train=other.yaml"], ["unknown argument --train"]),
         (["--train.steps", "-3"], ["train.steps = -3 must be at least 1"]),
     ],
 )
@@ -219,6 +221,7 @@ def test_help_shows_every_field_with_its_sentence_and_default(capsys):
         "Folder of the data set.",
     ):
         assert part in text
+    assert "--train " not in text
 
 
 @pytest.mark.parametrize(
