@@ -44,7 +44,7 @@ class NerfConfig:
     """Progress (0 to 1) up to which every latent is its view's fixed sample."""
     fresh_end: float = 0.5
     """Progress from which every latent is a fresh posterior sample."""
-    bank_per_state: int = 3
+    bank_per_state: int = 1
     """Latents per state that the occupancy grid covers at each update."""
     birds_eye_steps: int = 0
     """Further steps on a copy of the field that also sees the bird's-eye camera (the paper trains on it)."""

@@ -73,7 +73,7 @@ def test_a_state_without_views(data):
     document = read(data)
     document["states"] = [{"branch": 0, "step": step, "hazard": False} for step in range(3)]
     write(data, document)
-    assert "(0, 2)" in refused(data)
+    assert "branch 0 step 2" in refused(data)
 
 
 def test_an_unknown_key_names_the_nearest(data):

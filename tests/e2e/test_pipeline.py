@@ -22,7 +22,7 @@ nerf:
   steps: 12
   birds_eye_steps: 3
   save_every: 5
-  fit: {rays: 256, samples: 8192, occupancy_every: 4}
+  fit: {rays: 256, batch_samples: 8192, occupancy_every: 4}
   field: {levels: 4, log2_table_size: 12, finest_resolution: 64, hidden_width: 16}
   occupancy: {cell: 2.0}
   march: {candidates: 48}
