@@ -79,7 +79,10 @@ def train_nerf(
         generator = torch.Generator().manual_seed(step)
         return nerf.condition(bank.draw(usable.repeat(config.bank_per_state), 1.0, generator))
 
-    with TrainingRun(folder, record, steps, fit.objects, None, config.save_every, overwrite=overwrite) as run:
+    writes = fit.fabric.global_rank == 0
+    every = config.save_every
+    with TrainingRun(folder, record, steps, fit.objects, None, every, overwrite=overwrite, writes=writes) as run:
         fit_field(fit, draw_batch, condition_bank, run)
-        with fit.average.applied():
-            save_model(folder, nerf, run)
+        if writes:
+            with fit.average.applied():
+                save_model(folder, nerf, run)

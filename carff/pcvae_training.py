@@ -62,7 +62,7 @@ def train_pcvae(
             optimizer.zero_grad(set_to_none=True)
             (LOSS_SCALE * (error + weight * divergence)).backward()
             norm = clip_grad_norm_(pcvae.parameters(), GRADIENT_LIMIT)
-            if guard.accepts(step, {"error": error, "kl": divergence, "gradient": norm}):
+            if guard.accepts(step, {"error": error.detach(), "kl": divergence.detach(), "gradient": norm}):
                 optimizer.step()
             if step % LOG_EVERY == 0 or step + 1 == config.steps:
                 psnr = -10 * math.log10(max(float(error), 1e-10))

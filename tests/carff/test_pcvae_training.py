@@ -1,0 +1,47 @@
+"""Stage 1 learns the states that pictures show, and takes the same path after an interruption."""
+
+import torch
+
+from carff.encoders import EncoderConfig
+from carff.model_files import load_model
+from carff.pcvae import Pcvae, PcvaeConfig
+from carff.pcvae_training import rate_factor, train_pcvae
+
+
+def config(steps: int) -> PcvaeConfig:
+    return PcvaeConfig(steps=steps, batch_size=16, save_every=10, lr=0.003, encoder=EncoderConfig(width=8, augment=0.2))
+
+
+def build(tiny_data, tiny_table, steps: int) -> Pcvae:
+    torch.manual_seed(0)
+    return Pcvae(config(steps), tiny_table.camera_poses, tiny_data.scene_box, len(tiny_table), 32, 32)
+
+
+def train(tiny_data, tiny_table, folder, steps: int) -> Pcvae:
+    pcvae = build(tiny_data, tiny_table, steps)
+    train_pcvae(config(steps), pcvae, tiny_data, tiny_table, folder, {"steps": 40}, seed=3)
+    return pcvae
+
+
+def test_latents_separate_what_the_pictures_separate(tiny_data, tiny_table, tmp_path):
+    pcvae = train(tiny_data, tiny_table, tmp_path / "run", 150)
+    belief = pcvae.encode(tiny_data.images)
+    mean, spread = belief.mean.reshape(2, 2, 4, 8), (0.5 * belief.logvar).exp().mean()
+    hidden = (mean[0, :, 0] - mean[1, :, 0]).norm(dim=-1)
+    seen = (mean[0, :, 1:3] - mean[1, :, 1:3]).norm(dim=-1)
+    # Camera 0 sees equal pictures in both branches; the others see the square.
+    assert hidden.max() < 1e-4
+    assert seen.min() > 3 * spread
+
+
+def test_saved_model_is_the_trained_one(tiny_data, tiny_table, tmp_path):
+    pcvae = train(tiny_data, tiny_table, tmp_path / "run", 20)
+    loaded, cost = load_model(tmp_path / "run", lambda _: build(tiny_data, tiny_table, 20), "train_pcvae.py")
+    assert torch.equal(loaded.encode(tiny_data.images).mean, pcvae.encode(tiny_data.images).mean)
+    assert cost["seconds"] > 0
+
+
+def test_rate_warms_up_and_ends_at_zero():
+    assert rate_factor(0, 1000) == 1 / 50
+    assert rate_factor(500, 1000) == 0.5
+    assert rate_factor(1000, 1000) < 1e-12
