@@ -12,7 +12,9 @@ from carff.beliefs import Belief
 from carff.mixtures import GaussianMixture, mixture_from_raw
 from hashnerf.errors import UserError
 
-SMALLEST_SCALE = 1e-3  # a latent dimension that never varies is not blown up
+# A dimension that hardly varies is not blown up: input noise of 0.01 must stay small, or it kills the ReLU units.
+SMALLEST_INPUT_SCALE = 0.1
+SMALLEST_TARGET_SCALE = 1e-3
 
 
 class MDN(nn.Module):
@@ -47,10 +49,10 @@ class MDN(nn.Module):
         """Stores mean and spread of the beliefs that go in, and of the latents that are to come out."""
         values = torch.cat([source.mean, source.logvar], dim=1)
         self.input_centre.copy_(values.mean(dim=0))
-        self.input_scale.copy_(values.std(dim=0, correction=0).clamp_min(SMALLEST_SCALE))
+        self.input_scale.copy_(values.std(dim=0, correction=0).clamp_min(SMALLEST_INPUT_SCALE))
         variance = target.mean.var(dim=0, correction=0) + target.logvar.exp().mean(dim=0)
         self.target_centre.copy_(target.mean.mean(dim=0))
-        self.target_scale.copy_(variance.sqrt().clamp_min(SMALLEST_SCALE))
+        self.target_scale.copy_(variance.sqrt().clamp_min(SMALLEST_TARGET_SCALE))
 
     def forward(self, mean: Float[Tensor, "b d"], logvar: Float[Tensor, "b d"]) -> GaussianMixture:
         """Returns the mixture over the next latent for each belief, in latent units."""

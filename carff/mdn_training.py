@@ -12,18 +12,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.utils import clip_grad_norm_
 
 from carff.mdn import MDN
 from carff.mixtures import GaussianMixture, negative_log_likelihood
+from carff.model_files import save_model
 from carff.schedules import cosine_rate
 from carff.transitions import TransitionBatch, TransitionConfig, TransitionSampler
 from hashnerf.errors import UserError
 from hashnerf.finite_steps import FiniteSteps
 from hashnerf.training_run import TrainingRun
 
+WARM_UP = 50  # steps: at full rate from the start, most ReLU units die in the first few
 FIRST_TEMPERATURE = 4.0  # times the largest variance of the targets: hot enough for one shared mean to form first
 
 
@@ -39,7 +41,7 @@ class MdnConfig:
     """Hidden layers shared by the heads (paper: 2)."""
     head_layers: int = 2
     """Layers of each head (paper: 2)."""
-    steps: int = 1000
+    steps: int = 800
     """Training steps (paper: 30,000)."""
     batch_size: int = 128
     """Pairs of views per step (paper: 128)."""
@@ -47,7 +49,7 @@ class MdnConfig:
     """Learning rate of Adam at the start (paper: 0.005); it falls along a cosine."""
     final_lr: float = 0.00005
     """Learning rate at the end."""
-    split_share: float = 0.3
+    split_share: float = 0.6
     """Share of the steps in which components are drawn apart before plain likelihood takes over (0: never)."""
     gradient_limit: float = 1.0
     """Largest gradient norm of a step."""
@@ -55,8 +57,6 @@ class MdnConfig:
     """Steps between checkpoints."""
     log_every: int = 20
     """Steps between lines in the metrics."""
-    seed: int = 0
-    """Seed of the training pairs."""
     transitions: TransitionConfig = field(default_factory=TransitionConfig)
     """Which pairs of views are learned from."""
 
@@ -86,36 +86,37 @@ def build_mdn(config: MdnConfig, latent_size: int) -> MDN:
     return MDN(latent_size, config.components, config.width, config.trunk_layers, config.head_layers)
 
 
-def train_mdn(config: MdnConfig, mdn: MDN, sampler: TransitionSampler, folder: Path, overwrite: bool = False) -> float:
-    """Trains in a run folder and returns the seconds it took, all resumes together.
+def train_mdn(
+    config: MdnConfig, mdn: MDN, sampler: TransitionSampler, folder: Path, record: dict, overwrite: bool = False
+) -> None:
+    """Trains in a run folder and saves the model there; `record` is what the folder keeps as its config.
 
     Batches and schedules depend on seed and step alone: a resumed run takes the path of an uninterrupted one.
     """
-    everything = sampler.all_sources(torch.Generator().manual_seed(config.seed))
+    everything = sampler.all_sources(torch.Generator().manual_seed(sampler.seed))
     mdn.set_statistics(everything.source, everything.target)
     annealing = Annealing.of(everything, round(config.split_share * config.steps))
     optimizer = torch.optim.Adam(mdn.parameters(), lr=config.lr, fused=True)
     guard = FiniteSteps()
     objects = {"mdn": mdn, "optimizer": optimizer}
     mdn.train()
-    with TrainingRun(folder, config, config.steps, objects, {}, config.save_every, overwrite=overwrite) as run:
+    with TrainingRun(folder, record, config.steps, objects, {}, config.save_every, overwrite=overwrite) as run:
         for step in run.steps():
             batch = sampler.batch(step, config.batch_size)
             mixture = mdn(batch.source.mean, batch.source.logvar)
             nll = negative_log_likelihood(mixture, batch.samples)
             loss = annealing.loss(mixture, batch, step) if step < annealing.steps else nll
-            optimizer.param_groups[0]["lr"] = cosine_rate(step, config.steps, config.lr, config.final_lr)
+            optimizer.param_groups[0]["lr"] = cosine_rate(step, config.steps, config.lr, config.final_lr, WARM_UP)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()
             norm = clip_grad_norm_(mdn.parameters(), config.gradient_limit)
-            if guard.accepts(step, {"loss": loss, "gradient": norm}):
+            if guard.accepts(step, {"loss": loss.detach(), "gradient": norm}):
                 optimizer.step()
             if step % config.log_every == 0 or step + 1 == config.steps:
                 largest = mixture.log_weights.exp().amax(dim=1).mean()
                 run.log(step, nll=nll, largest_weight=largest, skipped=guard.skipped)
-        seconds = run.seconds
+        save_model(folder, mdn, run)
     mdn.eval()
-    return seconds
 
 
 @dataclass(frozen=True)
@@ -160,8 +161,8 @@ class MixtureHealth:
     """exp(entropy of the mean weights): components that are used somewhere."""
     largest_weight: float
     """Largest weight of a mixture, mean over sources."""
-    separation: float
-    """Distance of the two heaviest components in their standard deviations (root mean square), median over sources."""
+    several_modes: float
+    """Share of sources whose two heaviest components each weigh over 0.1 and lie over 3 standard deviations apart."""
 
 
 @torch.no_grad()
@@ -179,7 +180,7 @@ def mixture_health(mdn: MDN, sampler: TransitionSampler, seed: int = 0) -> Mixtu
         effective_components=float(_entropy(weights).exp().mean()),
         used_components=float(_entropy(weights.mean(dim=0, keepdim=True)).exp()),
         largest_weight=float(weights.amax(dim=1).mean()),
-        separation=float(_separation(mixture).median()),
+        several_modes=float(_has_several_modes(mixture).float().mean()),
     )
 
 
@@ -187,9 +188,11 @@ def _entropy(weights: Float[Tensor, "b k"]) -> Float[Tensor, " b"]:
     return -torch.xlogy(weights, weights).sum(dim=1)
 
 
-def _separation(mixture: GaussianMixture) -> Float[Tensor, " b"]:
+def _has_several_modes(mixture: GaussianMixture) -> Bool[Tensor, " b"]:
     if mixture.log_weights.shape[1] == 1:
-        return torch.zeros(len(mixture))
-    heaviest = mixture.log_weights.topk(2, dim=1).indices[:, :, None].expand(-1, -1, mixture.means.shape[2])
-    means, variances = mixture.means.gather(1, heaviest), (2 * mixture.log_sigmas.gather(1, heaviest)).exp()
-    return ((means[:, 0] - means[:, 1]).square() / variances.mean(dim=1)).sum(dim=1).sqrt()
+        return torch.zeros(len(mixture), dtype=torch.bool)
+    heaviest = mixture.log_weights.topk(2, dim=1)
+    index = heaviest.indices[:, :, None].expand(-1, -1, mixture.means.shape[2])
+    means, variances = mixture.means.gather(1, index), (2 * mixture.log_sigmas.gather(1, index)).exp()
+    distance = ((means[:, 0] - means[:, 1]).square() / variances.mean(dim=1)).sum(dim=1).sqrt()
+    return (heaviest.values[:, 1].exp() > 0.1) & (distance > 3)

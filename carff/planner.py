@@ -108,7 +108,7 @@ def exact_go_probability(config: PlannerConfig, n: int, hazard_probability: floa
     if n < 1 or not 0 <= hazard_probability <= 1:
         raise UserError(f"n = {n} samples with hazard probability {hazard_probability}: n >= 1, probability in [0, 1]")
     p = hazard_probability
-    return math.fsum(math.comb(n, k) * p**k * (1 - p) ** (n - k) for k in range(n + 1) if _goes(k, n, config))
+    return math.fsum(math.comb(n, k) * p**k * (1 - p) ** (n - k) for k in range(n + 1) if _goes(float(k), n, config))
 
 
 def exact_success(config: PlannerConfig, n: int, hazard_probability: float, safe_to_go: bool) -> float:

@@ -24,9 +24,13 @@ def delayed_linear(
     return start_value + (end_value - start_value) * (epoch - start_epoch) / (end_epoch - start_epoch)
 
 
-def cosine_rate(step: int, steps: int, initial: float, final: float) -> float:
-    """Returns a rate that falls from `initial` at step 0 to `final` at `steps` along half a cosine, and stays there."""
+def cosine_rate(step: int, steps: int, initial: float, final: float, warm_up: int = 0) -> float:
+    """Returns a rate that falls from `initial` at step 0 to `final` at `steps` along half a cosine, and stays there.
+
+    The first `warm_up` steps rise to it in equal parts.
+    """
     if steps < 1:
         raise UserError(f"a schedule over {steps} steps is empty; give at least 1")
     progress = min(max(step / steps, 0.0), 1.0)
-    return final + 0.5 * (initial - final) * (1 + math.cos(math.pi * progress))
+    rate = final + 0.5 * (initial - final) * (1 + math.cos(math.pi * progress))
+    return rate * min(1.0, (step + 1) / warm_up) if warm_up else rate

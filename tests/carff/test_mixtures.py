@@ -1,0 +1,195 @@
+import itertools
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from carff.mixtures import GaussianMixture, choose_component, mixture_from_raw, negative_log_likelihood
+
+
+def mixture(weights: list[float], means: list[list[float]], sigmas: list[list[float]], dtype=torch.float64):
+    return GaussianMixture(
+        torch.tensor([weights], dtype=dtype).log(),
+        torch.tensor([means], dtype=dtype),
+        torch.tensor([sigmas], dtype=dtype).log(),
+    )
+
+
+# --- density ---
+
+
+def test_density_goldens():
+    # K=2, D=8, means 0 and 1, sigma 1, y = 0: -log(0.5 (2 pi)^-4 (1 + e^-4)) = 4 log(2 pi) + log 2 - log(1 + e^-4).
+    two = mixture([0.5, 0.5], [[0.0] * 8, [1.0] * 8], [[1.0] * 8] * 2)
+    value = float(negative_log_likelihood(two, torch.zeros(1, 1, 8, dtype=torch.float64)))
+    assert value == pytest.approx(8.02650551828, abs=1e-10)
+    # K=1, D=8, y = 0.5 everywhere: 4 log(2 pi) + 8 * 0.5 * 0.25 = 7.35150826564 + 1.
+    one = mixture([1.0], [[0.0] * 8], [[1.0] * 8])
+    value = float(negative_log_likelihood(one, torch.full((1, 1, 8), 0.5, dtype=torch.float64)))
+    assert value == pytest.approx(8.35150826564, abs=1e-10)
+
+
+def slow_log_prob(mix: GaussianMixture, values: torch.Tensor) -> torch.Tensor:
+    rows = []
+    for b, s in itertools.product(range(values.shape[0]), range(values.shape[1])):
+        terms = []
+        for k in range(mix.means.shape[1]):
+            log = float(mix.log_weights[b, k])
+            for d in range(mix.means.shape[2]):
+                sigma = math.exp(float(mix.log_sigmas[b, k, d]))
+                z = (float(values[b, s, d]) - float(mix.means[b, k, d])) / sigma
+                log += -0.5 * z * z - math.log(sigma) - 0.5 * math.log(2 * math.pi)
+            terms.append(log)
+        top = max(terms)
+        rows.append(top + math.log(sum(math.exp(term - top) for term in terms)))
+    return torch.tensor(rows, dtype=torch.float64).view(values.shape[:2])
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(1, 3), st.integers(1, 4), st.integers(1, 5), st.integers(0, 10**6))
+def test_density_matches_the_definition(b, k, d, seed):
+    generator = torch.Generator().manual_seed(seed)
+    draw = [torch.randn(shape, generator=generator, dtype=torch.float64) for shape in [(b, k), (b, k, d), (b, k, d)]]
+    mix = mixture_from_raw(*draw)
+    values = 3 * torch.randn(b, 4, d, generator=generator, dtype=torch.float64)
+    torch.testing.assert_close(mix.log_prob(values), slow_log_prob(mix, values), rtol=1e-10, atol=1e-10)
+
+
+def test_density_integrates_to_one():
+    mix = mixture([0.2, 0.8], [[-3.0], [1.0]], [[0.3], [2.0]])
+    x = torch.linspace(-40, 40, 100_001, dtype=torch.float64)
+    assert float(torch.trapezoid(mix.log_prob(x[None, :, None])[0].exp(), x)) == pytest.approx(1, abs=1e-9)
+
+
+def test_gradcheck():
+    generator = torch.Generator().manual_seed(0)
+    shapes = [(2, 3), (2, 3, 4), (2, 3, 4), (2, 5, 4)]
+    inputs = [torch.randn(s, generator=generator, dtype=torch.float64).requires_grad_() for s in shapes]
+    assert torch.autograd.gradcheck(lambda w, m, s, y: mixture_from_raw(w, m, s).log_prob(y), inputs)
+
+
+@pytest.mark.parametrize("components", [1, 2, 5, 64])
+@pytest.mark.parametrize("dimensions", [1, 8, 64, 256])
+def test_float32_values_and_gradients_follow_float64(components, dimensions):
+    generator = torch.Generator().manual_seed(components * dimensions)
+    for batch, target, raw, spread in itertools.product(
+        [1, 4], [0.0, 1.0, 1e2, 1e4], [0.1, 1.0, 10.0, 1e3], [1.0, 1e4]
+    ):
+        shapes = [(batch, components), (batch, components, dimensions), (batch, components, dimensions)]
+        scales = [spread, 1.0, raw]
+        inputs = [scale * torch.randn(s, generator=generator) for s, scale in zip(shapes, scales)]
+        results = []
+        for dtype in (torch.float32, torch.float64):
+            leaves = [values.detach().to(dtype).requires_grad_() for values in inputs]
+            values = torch.full((batch, 1, dimensions), target, dtype=dtype)
+            loss = negative_log_likelihood(mixture_from_raw(*leaves), values)
+            loss.backward()
+            results.append((loss.detach().double(), [leaf.grad.double() for leaf in leaves]))
+        (value, gradients), (exact, exact_gradients) = results
+        assert abs(float(value - exact)) <= 1e-5 * (1 + abs(float(exact)))
+        for gradient, exact_gradient in zip(gradients, exact_gradients):
+            assert torch.isfinite(gradient).all()
+            scale = float(exact_gradient.abs().max())
+            assert float((gradient - exact_gradient).abs().max()) <= 2e-2 * scale + 1e-2
+
+
+# --- extremes ---
+
+
+@pytest.mark.parametrize("raw", [-1e3, -110.0, -50.0, 0.0, 50.0, 1e3])
+@pytest.mark.parametrize("offset", [0.0, 1e-12, 1.0, 1e4, 1e6])
+def test_any_raw_sigma_and_distance_has_a_finite_value_and_gradient(raw, offset):
+    logits = torch.zeros(1, 2, requires_grad=True)
+    means = torch.zeros(1, 2, 8, requires_grad=True)
+    sigmas = torch.tensor([[[raw] * 8, [0.5] * 8]], requires_grad=True)
+    loss = negative_log_likelihood(mixture_from_raw(logits, means, sigmas), torch.full((1, 3, 8), offset))
+    loss.backward()
+    assert torch.isfinite(loss)
+    assert all(torch.isfinite(leaf.grad).all() for leaf in (logits, means, sigmas))
+
+
+def test_a_sigma_beyond_its_bound_is_still_pulled_back():
+    # One component, targets at distance 1: sigma e^7 is too wide, sigma e^-7 too narrow, however far beyond the bound.
+    for raw, sign in ((1e3, 1), (80.0, 1), (-80.0, -1), (-1e3, -1)):
+        sigmas = torch.full((1, 1, 1), raw, requires_grad=True)
+        negative_log_likelihood(
+            mixture_from_raw(torch.zeros(1, 1), torch.zeros(1, 1, 1), sigmas), torch.ones(1, 1, 1)
+        ).backward()
+        assert float(sigmas.grad) * sign > 1e-12
+
+
+@pytest.mark.parametrize("logits", [[0.0, -1e4], [0.0, -math.inf], [1e4, 0.0], [3.0, 3.0], [-1e4, -1e4]])
+def test_dead_and_equal_weights_are_finite(logits):
+    leaf = torch.tensor([logits], requires_grad=True)
+    means = torch.zeros(1, 2, 3, requires_grad=True)
+    mix = mixture_from_raw(leaf, means, torch.zeros(1, 2, 3))
+    loss = negative_log_likelihood(mix, torch.ones(1, 4, 3))
+    loss.backward()
+    assert torch.isfinite(loss) and torch.isfinite(leaf.grad).all() and torch.isfinite(means.grad).all()
+    if logits[1] <= logits[0] - 1e4:
+        assert means.grad[0, 1].abs().max() == 0 and means.grad[0, 0].abs().max() > 0
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_half_precision_inputs_are_computed_in_float32(dtype):
+    raw = [torch.randn(2, 3, dtype=dtype), torch.randn(2, 3, 8, dtype=dtype), 30 * torch.randn(2, 3, 8, dtype=dtype)]
+    values = 100 * torch.randn(2, 5, 8, dtype=dtype)
+    upcast = mixture_from_raw(*(part.float() for part in raw)).log_prob(values.float())
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        assert torch.equal(mixture_from_raw(*raw).log_prob(values), upcast)
+
+
+# --- sampling ---
+
+
+@pytest.mark.parametrize("weights", [[0.9, 0.1], [0.999, 0.001], [1.0, 0.0], [0.0, 1.0]])
+def test_components_are_drawn_with_their_weights(weights):
+    count = 1_000_000
+    uniform = torch.rand(1, count, 2, generator=torch.Generator().manual_seed(0))
+    chosen = choose_component(torch.tensor([weights]).log(), uniform)
+    share = float((chosen == 1).double().mean())
+    assert abs(share - weights[1]) <= 4 * math.sqrt(weights[1] * (1 - weights[1]) / count)
+
+
+def test_extreme_uniform_numbers_choose_a_live_component():
+    # Cumulated float32 weights (0.25, 0.99999988) end below a uniform 0.99999994: a search would return component 2.
+    log_weights = torch.tensor([[0.25, 0.74999988, 0.0]]).log()
+    extremes = [0.0, 2.0**-24, 0.5, 0.99999994]
+    uniform = torch.tensor(list(itertools.product(extremes, repeat=3)))[None]
+    chosen = choose_component(log_weights, uniform)
+    assert ((chosen == 0) | (chosen == 1)).all()
+    assert (chosen == 0).any() and (chosen == 1).any()
+
+
+def test_sample_moments_and_repetition():
+    mix = mixture([0.3, 0.7], [[-1.0, 5.0], [2.0, 0.0]], [[0.5, 1.0], [1.0, 0.1]])
+    draws = mix.sample(200_000, torch.Generator().manual_seed(1))
+    assert torch.equal(draws, mix.sample(200_000, torch.Generator().manual_seed(1)))
+    error = mix.variance()[0].sqrt() / math.sqrt(draws.shape[1])
+    assert ((draws[0].mean(dim=0) - mix.mean()[0]).abs() < 4 * error).all()
+    torch.testing.assert_close(draws[0].var(dim=0), mix.variance()[0], rtol=0.02, atol=0)
+
+
+def test_rows_of_a_batch_are_sampled_from_their_own_mixture():
+    means = torch.tensor([[[0.0], [10.0]], [[100.0], [110.0]]])
+    mix = GaussianMixture(torch.full((2, 2), 0.5).log(), means, torch.full((2, 2, 1), -5.0))
+    draws = mix.sample(50, torch.Generator().manual_seed(0)).round()[:, :, 0]
+    assert set(draws[0].tolist()) == {0.0, 10.0} and set(draws[1].tolist()) == {100.0, 110.0}
+
+
+# --- moments ---
+
+
+def test_moments_by_hand():
+    # Weights 1/4 and 3/4, means 0 and 4, sigmas 1 and 2: mean 3, variance (1/4 + 3/4 * 4) + (1/4 * 9 + 3/4 * 1) = 6.25.
+    mix = mixture([0.25, 0.75], [[0.0], [4.0]], [[1.0], [2.0]])
+    assert float(mix.mean()) == pytest.approx(3.0)
+    assert float(mix.variance()) == pytest.approx(6.25)
+
+
+def test_variance_does_not_cancel_far_from_the_origin():
+    # Means 1e4 -+ 1, sigma 1e-3, equal weights: 1 + 1e-6. E[x^2] - E[x]^2 loses it entirely in float32.
+    mix = mixture([0.5, 0.5], [[9999.0], [10001.0]], [[1e-3], [1e-3]], torch.float32)
+    assert float(mix.variance()) == pytest.approx(1.000001, rel=1e-4)
