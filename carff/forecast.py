@@ -5,6 +5,7 @@ is what the forecast network reads for the following step (appendix C, "probe an
 unknown keeps its own place: its belief is the mixture component's spread around the sample.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -12,9 +13,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from carff.beliefs import Belief
-from carff.mdn import MDN
 from carff.mixtures import GaussianMixture
 from carff.probe import UNKNOWN, DensityFn, Probe
+
+MixtureFn = Callable[[Float[Tensor, "b d"], Float[Tensor, "b d"]], GaussianMixture]
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class Forecast:
 @torch.no_grad()
 def roll_out(
     belief: Belief,
-    mdn: MDN,
+    mdn: MixtureFn,
     probe: Probe,
     density_fn: DensityFn,
     state_beliefs: Belief,

@@ -4,9 +4,9 @@ import math
 
 import pytest
 import torch
-from carff.states import ActorBox
 
 from carff.probe import UNKNOWN, ProbeConfig, box_points, box_scores, build_candidates, calibrate
+from carff.states import ActorBox
 from hashnerf.errors import UserError
 
 CONFIG = ProbeConfig(columns=(3, 2), levels=4, margin=0.1)

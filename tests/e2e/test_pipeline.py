@@ -1,4 +1,4 @@
-"""The scripts as a user runs them: data set -> three trainings (killed, stopped, resumed) -> forecast -> plan -> report."""
+"""The scripts as a user runs them: data set, trainings (killed, stopped, resumed), forecast, plan, report."""
 
 import json
 import os

@@ -1,0 +1,26 @@
+"""What the stages share: the device, and encoding views with gaps. The stages themselves run in tests/e2e."""
+
+import torch
+
+from carff.config import CarffConfig
+from carff.encoders import EncoderConfig
+from carff.pcvae import PcvaeConfig
+from carff.scene_info import scene_info
+from carff.stages import device_of, encode_views, new_pcvae
+
+
+def test_auto_takes_the_gpu_if_there_is_one():
+    assert device_of(CarffConfig()).type == ("cuda" if torch.cuda.is_available() else "cpu")
+    assert device_of(CarffConfig(device="cpu")).type == "cpu"
+
+
+def test_a_missing_view_is_invalid_and_the_others_are_in_place(tiny_data, tiny_table):
+    torch.manual_seed(0)
+    config = CarffConfig(device="cpu", pcvae=PcvaeConfig(encoder=EncoderConfig(width=8)))
+    pcvae = new_pcvae(config, scene_info(tiny_data, tiny_table))
+    index = tiny_table.views.clone()
+    index[2, 1] = -1
+    beliefs = encode_views(pcvae, tiny_data, index)
+    assert not beliefs.valid[2, 1] and beliefs.valid.sum() == 15
+    alone = pcvae.encode(tiny_data.images[index[3, 2]][None])
+    assert torch.allclose(beliefs.means[3, 2], alone.mean[0], atol=2e-2)
