@@ -4,16 +4,22 @@ All episodes of a policy advance together, so that pictures are encoded and futu
 (drives, their numbers) to one command each: True for go. Policies that do not look are functions of the drive alone.
 """
 
+import os
+import signal
+import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
+from carff.closed_loop_file import ClosedLoop, save_closed_loop
+from carff.decisions import decide_from_pictures
 from carff.driving import (
     Drive,
     DrivingConfig,
@@ -25,9 +31,10 @@ from carff.driving import (
     going_is_safe,
     stop_matters,
 )
-from carff.model import CarffModel
-from carff.planner import PlannerConfig, decide
-from carff.planning_metrics import Episode
+from carff.model import CarffModel, load_carff
+from carff.planner import PlannerConfig
+from carff.planning_metrics import ALWAYS_GO, ALWAYS_STOP, Episode
+from hashnerf.errors import UserError
 from worlds.scenarios import world_from_description
 from worlds.scene import Scene, World, ego_camera
 
@@ -65,10 +72,7 @@ class SeeingPolicy:
 
     def decide(self, pictures: UInt8[Tensor, "images h w 3"]) -> list[bool]:
         """Returns go or stop for each picture."""
-        belief = self.model.encode(pictures)
-        latents = self.model.mdn(belief.mean, belief.logvar).sample(self.n, self.generator)
-        states = self.model.probe_latents(latents.flatten(0, 1)).reshape(len(pictures), self.n)
-        return [decide(*self.model.hazards(row), self.planner).go for row in states]
+        return [one.go for one in decide_from_pictures(self.model, pictures, self.planner, self.n, self.generator)]
 
 
 def drive_episodes(world: World, policy: Policy, setups: list, config: DrivingConfig) -> tuple[list[Drive], list[int]]:
@@ -99,25 +103,29 @@ def closed_loop(
     setups = [draw_setup(world, config, rng) for _ in range(episodes)]
     camera = Camera(description, model.scene.cameras.width, model.scene.cameras.height)
     blind: dict[str, Policy] = {
-        "always_stop": lambda drives: [False] * len(drives),
-        "always_go": lambda drives: [True] * len(drives),
+        ALWAYS_STOP: lambda drives: [False] * len(drives),
+        ALWAYS_GO: lambda drives: [True] * len(drives),
         "oracle": lambda drives: [going_is_safe(world, drive, config) for drive in drives],
     }
     runs = {name: drive_episodes(world, policy, setups, config) for name, policy in blind.items()}
     # A fresh interpreter per worker: forking a process whose tensor threads are running can hang.
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(workers, get_context("spawn"), _start_worker) as pool:
         for rule in ("risk", "paper"):
-            planner = PlannerConfig(**{**vars(model.config.planner), "rule": rule})
+            planner = replace(model.config.planner, rule=rule)
             policy = SeeingPolicy(model, camera, planner, n, seed, pool)
             runs[rule] = drive_episodes(world, policy, setups, config)
+    return compared(runs)
+
+
+def compared(runs: dict[str, tuple[list[Drive], list[int]]]) -> list[Episode]:
+    """Judges every policy's drives beside those of the oracle and of the one that always goes, setup by setup."""
     oracle, _ = runs["oracle"]
-    ungoverned, _ = runs["always_go"]
-    hazard = [drive.collided for drive in ungoverned]
+    ungoverned, _ = runs[ALWAYS_GO]
     return [
         Episode(
             policy=name,
             branch=drive.setup.branch,
-            hazard=hazard[i],
+            hazard=ungoverned[i].collided,
             collided=drive.collided,
             stopped=drive.stood,
             needless_stop=drive.stood and not oracle[i].stood,
@@ -127,3 +135,40 @@ def closed_loop(
         for name, (drives, decisions) in runs.items()
         for i, drive in enumerate(drives)
     ]
+
+
+def drive_run(folder: Path, episodes: int, n: int, config: DrivingConfig, seed: int, workers: int = 0) -> ClosedLoop:
+    """Drives a trained run in the embedded world it was rendered from and writes closed_loop.json beside it.
+
+    `workers` processes render pictures, 0 means one per core. A world in which the ego never moves gives no episodes
+    but a reason. Raises UserError for a run whose data set does not come from an embedded world.
+    """
+    model = load_carff(folder)
+    description = model.scene.world
+    if description is None:
+        raise UserError(f"{folder}: its data set was not rendered from an embedded world, so it cannot be driven in")
+    reason = undrivable(world_from_description(description))
+    start = time.monotonic()
+    driven = [] if reason else closed_loop(model, description, episodes, n, config, seed, workers or usable_cores())
+    about = {"samples": n, "seed": seed, "seconds": round(time.monotonic() - start, 2), "driving": asdict(config)}
+    save_closed_loop(folder, driven, about, reason)
+    return ClosedLoop(tuple(driven), about, reason)
+
+
+def undrivable(world: World) -> str:
+    """Returns why there is nothing to drive in a world, or an empty text."""
+    if world.traffic is None:
+        return f"nothing drives in {world.scenario}"
+    if min(speed for (_, name), speed in world.traffic.speeds.items() if name == "ego") <= 0:
+        return f"the ego stands still in {world.scenario}: it has no crossing to decide about"
+    return ""
+
+
+def usable_cores() -> int:
+    """Returns the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _start_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    torch.set_num_threads(1)

@@ -15,6 +15,7 @@ from worlds.boxes import box_at
 from worlds.scene import World
 
 STANDSTILL = 0.05  # m/s
+ROUNDING = 1e-6  # metres
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ def actor_poses(world: World, setup: Setup, time: float) -> dict:
 def can_stop(world: World, drive: Drive, config: DrivingConfig) -> bool:
     """Whether the ego can still come to rest at the stop line."""
     room = world.traffic.stop - drive.s
-    return room >= 0 and drive.speed**2 <= 2 * config.hardest_braking * room + 1e-9
+    return room >= -ROUNDING and hardest_stop(drive.speed, config) <= room + ROUNDING
 
 
 def stop_matters(world: World, drive: Drive, config: DrivingConfig) -> bool:
@@ -114,7 +115,24 @@ def stop_matters(world: World, drive: Drive, config: DrivingConfig) -> bool:
         return False
     reach = drive.setup.speed["ego"] * config.tick * config.decision_ticks
     room = world.traffic.stop - drive.s - reach
-    return math.sqrt(2 * config.comfortable_braking * max(room, 0.0)) < drive.setup.speed["ego"]
+    return stopping_speed(room, config) < drive.setup.speed["ego"]
+
+
+def stopping_speed(room: float, config: DrivingConfig) -> float:
+    """The speed (m/s) from which comfortable braking, tick by tick, comes to rest within `room` metres.
+
+    Speeds v, v - b dt, v - 2 b dt, ... cover v^2 / (2 b) + v dt / 2 in all. The second term matters: without it the
+    last ticks overshoot the line, and an ego beyond the line drives on.
+    """
+    room = max(room, 0.0)
+    half = config.comfortable_braking * config.tick / 2
+    return min(math.sqrt(half**2 + 2 * config.comfortable_braking * room) - half, room / config.tick)
+
+
+def hardest_stop(speed: float, config: DrivingConfig) -> float:
+    """The metres that braking as hard as possible still takes, tick by tick: v - h dt, v - 2 h dt, ... down to 0."""
+    ticks, rest = divmod(speed / (config.hardest_braking * config.tick), 1.0)
+    return config.hardest_braking * config.tick**2 * (ticks * (ticks - 1) / 2 + ticks * rest)
 
 
 def advance(world: World, drive: Drive, go: bool, config: DrivingConfig) -> Drive:
@@ -122,8 +140,7 @@ def advance(world: World, drive: Drive, go: bool, config: DrivingConfig) -> Driv
     nominal = drive.setup.speed["ego"]
     target = nominal
     if not go and can_stop(world, drive, config):
-        room = max(world.traffic.stop - drive.s, 0.0)
-        target = min(nominal, math.sqrt(2 * config.comfortable_braking * room))
+        target = min(nominal, stopping_speed(world.traffic.stop - drive.s, config))
     change = target - drive.speed
     change = min(max(change, -config.hardest_braking * config.tick), config.acceleration * config.tick)
     speed = max(drive.speed + change, 0.0)
@@ -144,9 +161,18 @@ def advance(world: World, drive: Drive, go: bool, config: DrivingConfig) -> Driv
 
 def touches(world: World, setup: Setup, s: float, time: float) -> bool:
     """Whether the ego's body at s touches another actor at a time."""
-    ego = box_at(world.traffic.routes["ego"].pose(s), world.actors["ego"].size)
-    poses = actor_poses(world, setup, time)
-    return any(ego.overlaps(box_at(pose, world.actors[name].size)) for name, pose in poses.items())
+    routes = world.traffic.routes
+    for name, start in setup.start.items():
+        if name == "ego":
+            continue
+        place = start + setup.speed[name] * time
+        (low, high), (other_low, other_high) = world.traffic.conflicts[name]
+        # Outside the conflict zone the bodies cannot meet: no need to build boxes.
+        if low <= s <= high and other_low <= place <= other_high:
+            ego = box_at(routes["ego"].pose(s), world.actors["ego"].size)
+            if ego.overlaps(box_at(routes[name].pose(place), world.actors[name].size)):
+                return True
+    return False
 
 
 def going_is_safe(world: World, drive: Drive, config: DrivingConfig, margin: float = 0.3) -> bool:

@@ -62,8 +62,9 @@ def pcvae_tables(results: Mapping) -> list[Table]:
     pcvae = results.get("pcvae", {})
     names = (
         ("svm_all", "all training views"),
-        ("svm_ceiling", "ceiling: what the pixels of those views allow"),
+        ("svm_ceiling", "ceiling: what the pixels of all training views allow"),
         ("svm_visible", "training views that show the actor"),
+        ("svm_visible_ceiling", "ceiling: what the pixels of those views allow"),
         ("svm_determined", "training views that determine their state"),
         ("svm_visible_heldout", "held-out cameras, actor visible"),
         ("svm_heldout", "held-out cameras, all views"),
@@ -142,7 +143,8 @@ def plan_tables(results: Mapping) -> list[Table]:
             title = policy_label(rule, int(name[1:]) if name else None)
             rows.append((title, *_plan_cells(row, "hazard"), *_plan_cells(row, "clear")))
     header = ("controller", "hazard: waits", "trials", "worst image", "clear: goes", "trials", "worst image")
-    return [Table(header, tuple(rows))] if rows else []
+    note = " ".join(lookup(results, "plan_images.notes") or ())
+    return [Table(header, tuple(rows), note)] if rows else []
 
 
 def _plan_cells(row: Mapping, side: str) -> tuple[str, str, str]:

@@ -1,0 +1,62 @@
+"""The last parts of the report: driving in closed loop, as recorded in the run folder, and what every stage cost.
+
+Seconds are wall clock, memory is the largest resident size of a stage's process in MB.
+"""
+
+import resource
+import sys
+
+from carff.charts import closed_loop_chart, stages_chart
+from carff.closed_loop_file import load_closed_loop
+from carff.evaluation_data import EvaluationData, Part
+from carff.figure_style import png_bytes
+from carff.model import load_nerf
+from carff.pipeline import read_timings
+from carff.planning_metrics import closed_loop_results
+
+EVALUATION = "evaluation"
+
+
+def evaluate_closed_loop(evaluation: EvaluationData) -> Part:
+    """Returns the recorded episodes of every policy side by side."""
+    if evaluation.model.scene.world is None:
+        reason = "the data set was not rendered from an embedded world, so there is nothing to drive in"
+        return Part({}, {}, {"closed_loop": reason})
+    recorded = load_closed_loop(evaluation.config.folder)
+    if not recorded.episodes:
+        return Part({}, {}, {"closed_loop": recorded.reason or "no episode was driven"})
+    policies = closed_loop_results(recorded.episodes)
+    figures = {"closed_loop": png_bytes(closed_loop_chart(policies))}
+    return Part({"closed_loop": policies, "closed_loop_settings": recorded.about}, figures)
+
+
+def evaluate_costs(evaluation: EvaluationData, own_seconds: float) -> Part:
+    """Returns time and memory of every stage; this evaluation has taken `own_seconds` so far.
+
+    Stages that scripts/demo.py timed as whole processes count with those times, others with the cost of their training.
+    """
+    timed = read_timings(evaluation.config.folder)
+    timed.pop(EVALUATION, None)  # an earlier one
+    timed = timed or trained_stages(evaluation)
+    timed[EVALUATION] = {"seconds": own_seconds, "peak_memory_mb": peak_memory_mb()}
+    stages = [{"name": name, **cost} for name, cost in timed.items()]
+    total = sum(stage["seconds"] for stage in stages)
+    return Part({"stages": stages, "seconds_total": total}, {"stages": png_bytes(stages_chart(stages))})
+
+
+def trained_stages(evaluation: EvaluationData) -> dict[str, dict]:
+    """Returns the cost of training each stage, as the run's models record it."""
+    costs = evaluation.model.costs
+    stages = {"PC-VAE": costs["pcvae"]}
+    if (evaluation.config.folder / "nerf_birds_eye").is_dir():
+        _, held_out = load_nerf(evaluation.config, evaluation.model.scene, held_out=True)
+        stages |= {"radiance field": held_out, "radiance field, with bird's-eye camera": costs["nerf"]}
+    else:
+        stages["radiance field"] = costs["nerf"]
+    return stages | {"forecast": costs["mdn"]}
+
+
+def peak_memory_mb() -> float:
+    """The largest resident size of this process so far."""
+    unit = 1e6 if sys.platform == "darwin" else 1e3  # bytes on macOS, kilobytes elsewhere
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
