@@ -2,8 +2,7 @@
 
 density(x, c) = exp(bounded(raw(x, c))), 1/m; rgb(x, d, c) in [0, 1]; x world metres, d unit direction, c a condition
 vector such as a scene latent. c enters both networks after the hash grid, which all conditions share (CARFF B.3).
-A condition is given per sample ([s, c]) or per group with the group of every sample ([g, c] and [s]): the second form
-multiplies each condition with the weights once instead of once a sample.
+Conditions are given per sample ([s, c]), or as rows ([g, c]) with the row of every sample ([s]).
 """
 
 import math
@@ -13,11 +12,11 @@ from typing import Literal
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
-from torch.nn import functional as F
 
-from hashnerf.activations import at_least_float32, truncated_exp
+from hashnerf.activations import truncated_exp
 from hashnerf.errors import UserError
 from hashnerf.hash_grid import HashGrid
+from hashnerf.mlp import MLP
 from hashnerf.spherical_harmonics import MAX_DEGREE, spherical_harmonics
 
 
@@ -74,60 +73,6 @@ class FieldConfig:
             raise UserError(f"field.initial_thickness is {self.initial_thickness}: use a positive number")
 
 
-class ConditionedLinear(nn.Module):
-    """W x + V c + b, where V c is computed once per group of samples that share the condition c."""
-
-    def __init__(self, inputs: int, condition_size: int, outputs: int):
-        super().__init__()
-        self.inputs = nn.Linear(inputs, outputs)
-        self.condition = nn.Linear(condition_size, outputs, bias=False) if condition_size else None
-
-    def forward(
-        self,
-        x: Float[Tensor, "s inputs"],
-        condition: Float[Tensor, "g c"] | None,
-        index: Int[Tensor, " s"] | None,
-    ) -> Float[Tensor, "s outputs"]:
-        """Apply the layer; `index` names each sample's row of `condition`, None means row by row."""
-        out = self.inputs(x)
-        if self.condition is None:
-            return out
-        shift = self.condition(condition)
-        return out + (shift if index is None else shift.index_select(0, index))
-
-
-class ConditionedMLP(nn.Module):
-    """ReLU network whose first layer also reads the condition."""
-
-    def __init__(self, inputs: int, condition_size: int, width: int, layers: int, outputs: int):
-        super().__init__()
-        self.first = ConditionedLinear(inputs, condition_size, width)
-        rest: list[nn.Module] = [nn.ReLU()]
-        for _ in range(layers - 1):
-            rest += [nn.Linear(width, width), nn.ReLU()]
-        self.rest = nn.Sequential(*rest, nn.Linear(width, outputs))
-
-    def forward(
-        self,
-        x: Float[Tensor, "s inputs"],
-        condition: Float[Tensor, "g c"] | None,
-        index: Int[Tensor, " s"] | None,
-    ) -> Float[Tensor, "s outputs"]:
-        """Apply the network."""
-        return self.rest(self.first(x, condition, index))
-
-    def first_output_bank(
-        self, x: Float[Tensor, "s inputs"], conditions: Float[Tensor, "bank c"] | None
-    ) -> Float[Tensor, "bank_or_one s"]:
-        """Return the first output at each sample under each condition of a bank; what conditions share is done once."""
-        shared = self.first.inputs(x)
-        shifts = [torch.zeros_like(shared[0])] if conditions is None else self.first.condition(conditions)
-        last = self.rest[-1]
-        # One condition at a time: its hidden values stay in the cache.
-        rows = [F.linear(self.rest[:-1](shared + shift), last.weight[:1], last.bias[:1])[:, 0] for shift in shifts]
-        return torch.stack(rows)
-
-
 class Field(nn.Module):
     """A conditioned radiance field over a box (metres)."""
 
@@ -146,54 +91,58 @@ class Field(nn.Module):
         # weights of the table start near zero, so this bias alone sets the density everywhere
         longest = float((scene_box[1] - scene_box[0]).amax())
         self.log_initial_density = math.log(config.initial_thickness / longest)
-        width, harmonics = config.hidden_width, config.direction_degree**2
-        features = config.geometry_features
-        self.density_network = ConditionedMLP(
-            self.hash_grid.out_features, condition_size, width, config.density_layers, 1 + features
+        low = config.mlp_dtype == "bfloat16"
+        harmonics, geometry = config.direction_degree**2, config.geometry_features
+        encoded = self.hash_grid.out_features
+        self.density_network = MLP(
+            encoded + condition_size, config.hidden_width, config.density_layers, 1 + geometry, low
         )
-        self.colour_network = ConditionedMLP(harmonics + features, condition_size, width, config.colour_layers, 3)
-        self.background_layer = ConditionedLinear(harmonics, condition_size, 3)
+        self.colour_network = MLP(
+            harmonics + geometry + condition_size, config.hidden_width, config.colour_layers, 3, low
+        )
+        self.background_layer = nn.Linear(harmonics + condition_size, 3)
 
     @property
     def box(self) -> Float[Tensor, "2 3"]:
         """The region the field models, metres."""
         return self.hash_grid.box
 
-    def _autocast(self, device: torch.device) -> torch.autocast:
-        low = self.config.mlp_dtype == "bfloat16"
-        return torch.autocast(device.type, dtype=torch.bfloat16, enabled=low)
-
-    def _check(self, condition: Tensor | None) -> None:
-        size = 0 if condition is None else condition.shape[1]
-        if size != self.condition_size:
-            raise ValueError(f"the field takes conditions of length {self.condition_size}, not {size}")
+    def harmonics(self, directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n harmonics"]:
+        """Encode unit directions as `forward` wants them."""
+        return spherical_harmonics(directions, self.config.direction_degree)
 
     def density(
         self,
         positions: Float[Tensor, "s 3"],
         condition: Float[Tensor, "g c"] | None = None,
         condition_index: Int[Tensor, " s"] | None = None,
-    ) -> tuple[Float[Tensor, " s"], Float[Tensor, "s features"]]:
+    ) -> tuple[Float[Tensor, " s"], Float[Tensor, "s geometry"]]:
         """Return density (1/m) and the geometry features that the colour network reads."""
-        return self._density_of_features(self.hash_grid(positions), condition, condition_index)
+        return self._density(positions, self._columns(condition, condition_index))
 
-    def _density_of_features(
-        self, features: Tensor, condition: Tensor | None, index: Tensor | None
-    ) -> tuple[Tensor, Tensor]:
+    def _density(self, positions: Tensor, condition: list[Tensor]) -> tuple[Tensor, Tensor]:
+        out = self.density_network([self.hash_grid(positions), *condition])
+        return truncated_exp(out[:, 0] + self.log_initial_density), out[:, 1:]
+
+    def _columns(self, condition: Tensor | None, index: Tensor | None) -> list[Tensor]:
+        """The condition of each sample as a list of input columns: one tensor or none."""
         self._check(condition)
-        with self._autocast(features.device):
-            out = self.density_network(features, condition, index)
-        return truncated_exp(at_least_float32(out[:, 0]) + self.log_initial_density), out[:, 1:]
+        if condition is None or index is None:
+            return [] if condition is None else [condition]
+        return [condition.index_select(0, index)]
+
+    def _check(self, condition: Tensor | None) -> None:
+        size = 0 if condition is None else condition.shape[1]
+        if size != self.condition_size:
+            raise ValueError(f"the field takes conditions of length {self.condition_size}, not {size}")
 
     def density_bank(
-        self, positions: Float[Tensor, "p 3"], conditions: Float[Tensor, "bank c"] | None
+        self, positions: Float[Tensor, "p 3"], conditions: Float[Tensor, "bank c"] | None = None
     ) -> Float[Tensor, "bank_or_one p"]:
         """Return the density (1/m) at each position under each condition of a bank; positions are encoded once."""
         self._check(conditions)
-        features = self.hash_grid(positions)
-        with self._autocast(features.device):
-            out = self.density_network.first_output_bank(features, conditions)
-        return truncated_exp(at_least_float32(out) + self.log_initial_density)
+        out = self.density_network.first_output_bank(self.hash_grid(positions), conditions)
+        return truncated_exp(out + self.log_initial_density)
 
     def forward(
         self,
@@ -203,12 +152,19 @@ class Field(nn.Module):
         condition_index: Int[Tensor, " s"] | None = None,
     ) -> tuple[Float[Tensor, " s"], Float[Tensor, "s 3"]]:
         """Return density (1/m) and colour of samples."""
-        density, geometry = self.density(positions, condition, condition_index)
-        harmonics = spherical_harmonics(directions, self.config.direction_degree)
-        with self._autocast(positions.device):
-            inputs = torch.cat([harmonics.to(geometry.dtype), geometry], dim=1)
-            out = self.colour_network(inputs, condition, condition_index)
-        return density, torch.sigmoid(at_least_float32(out))
+        return self.sample(positions, self.harmonics(directions), condition, condition_index)
+
+    def sample(
+        self,
+        positions: Float[Tensor, "s 3"],
+        harmonics: Float[Tensor, "s harmonics"],
+        condition: Float[Tensor, "g c"] | None = None,
+        condition_index: Int[Tensor, " s"] | None = None,
+    ) -> tuple[Float[Tensor, " s"], Float[Tensor, "s 3"]]:
+        """The same for encoded directions: the samples of a ray share one encoding."""
+        columns = self._columns(condition, condition_index)
+        density, geometry = self._density(positions, columns)
+        return density, torch.sigmoid(self.colour_network([harmonics, geometry, *columns]))
 
     def background(
         self,
@@ -217,8 +173,6 @@ class Field(nn.Module):
         condition_index: Int[Tensor, " rays"] | None = None,
     ) -> Float[Tensor, "rays 3"]:
         """Return the colour of what lies beyond the box in each direction."""
-        self._check(condition)
-        harmonics = spherical_harmonics(directions, self.config.direction_degree)
-        with self._autocast(directions.device):
-            out = self.background_layer(harmonics, condition, condition_index)
-        return torch.sigmoid(at_least_float32(out))
+        columns = [self.harmonics(directions), *self._columns(condition, condition_index)]
+        with torch.autocast(directions.device.type, enabled=False):
+            return torch.sigmoid(self.background_layer(torch.cat(columns, dim=1)))

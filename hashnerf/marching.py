@@ -1,8 +1,7 @@
 """Sample positions along rays: a fixed number of candidates between box entry and exit, of which the occupied stay.
 
 Candidates are stratified: interval edges are evenly spaced in log(t + c), so they grow in proportion to the distance t
-from the camera beyond about c metres. One sample lies in each interval, at its middle or at random; dt is the
-interval's length, so the lengths of one ray always sum to far - near.
+from the camera beyond about c metres. One candidate lies in each interval, at its middle or at random.
 """
 
 import math
@@ -17,6 +16,8 @@ from hashnerf.occupancy import OccupancyGrid
 from hashnerf.ray_box import intersect_box
 from hashnerf.rays import Rays
 
+FLOOR = 0.5  # opacity added to all occupied intervals of a ray together, so that none is ever left out
+
 
 @dataclass(frozen=True)
 class MarchSettings:
@@ -28,6 +29,10 @@ class MarchSettings:
     """Up to about this distance (m) positions are evenly spaced, beyond it the spacing grows with distance."""
     near: float = 0.05
     """Nothing closer to the camera than this (m) is sampled."""
+    samples: int = 32
+    """Most samples of a ray, drawn where opacity is expected; 0 takes every occupied candidate instead."""
+    samples_per_opacity: float = 4.0
+    """Samples for each interval expected to be opaque."""
     stop_transmittance: float = 1e-3
     """A ray ends where cells known opaque in every condition leave less light than this; 0 never ends it."""
 
@@ -51,25 +56,24 @@ class Samples:
     mask: Bool[Tensor, "rays samples"]
 
 
-def candidates(
-    near: Float[Tensor, " rays"],
-    far: Float[Tensor, " rays"],
-    settings: MarchSettings,
-    generator: torch.Generator | None,
+def intervals(
+    near: Float[Tensor, " rays"], far: Float[Tensor, " rays"], settings: MarchSettings
 ) -> tuple[Float[Tensor, "rays candidates"], Float[Tensor, "rays candidates"]]:
-    """Return t and dt (m) of the candidates between near and far: interval middles, or random with a generator."""
+    """Return start and length (m) of the intervals between near and far."""
     count, c = settings.candidates, settings.even_distance
     steps = torch.arange(count, device=near.device, dtype=near.dtype)
-    start = (near + c)[:, None]
-    growth = torch.log(far + c)[:, None] - torch.log(start)
+    scale = (near + c)[:, None]
+    growth = (torch.log(far + c)[:, None] - torch.log(scale)) / count
+    # expm1 of differences, not differences of exp: far from the camera short intervals would drown in rounding
+    start = near[:, None] + scale * torch.expm1(steps * growth)
+    return start, scale * torch.exp(steps * growth) * torch.expm1(growth)
+
+
+def _uniform(like: Tensor, generator: torch.Generator | None) -> Tensor | float:
+    """Random numbers in [0, 1), or the middle without a generator."""
     if generator is None:
-        place = (steps + 0.5).expand(len(near), count)
-    else:
-        place = steps + torch.rand(len(near), count, generator=generator, device=near.device, dtype=near.dtype)
-    # expm1 of differences, not differences of exp: near a far camera the intervals would drown in rounding
-    t = near[:, None] + start * torch.expm1(place * (growth / count))
-    dt = start * torch.exp(steps * (growth / count)) * torch.expm1(growth / count)
-    return t, dt
+        return 0.5
+    return torch.rand(like.shape, generator=generator, device=like.device, dtype=like.dtype)
 
 
 @torch.no_grad()
@@ -78,17 +82,20 @@ def march(
 ) -> Samples:
     """Sample rays where the grid is occupied and not hidden behind what is always opaque; jittered with a generator."""
     near, far, hit = intersect_box(rays.origins, rays.directions, occupancy.box, settings.near)
-    t, dt = candidates(near, far, settings, generator)
+    start, dt = intervals(near, far, settings)
+    t = start + _uniform(dt, generator) * dt
     positions = rays.origins[:, None] + rays.directions[:, None] * t[:, :, None]
-    extinction = occupancy.extinction()[occupancy.cell_index(positions.view(-1, 3))].view_as(t)
-    mask = (extinction >= 0) & (dt > 0) & hit[:, None]
+    density = occupancy.densities().index_select(0, occupancy.cell_index(positions.view(-1, 3)))
+    highest, lowest = density.view(*t.shape, 2).unbind(dim=2)
+    thickness = lowest * dt
+    before = torch.cumsum(thickness, dim=1) - thickness  # rounding here moves the end of a ray by nothing that counts
+    mask = (highest > 0) & (dt > 0) & hit[:, None]
     if settings.stop_transmittance > 0:
-        thickness = extinction.clamp(min=0) * dt
-        before = (
-            torch.cumsum(thickness, dim=1) - thickness
-        )  # a rounding error here moves the end by nothing that counts
         mask &= before <= -math.log(settings.stop_transmittance)
-    return _compact(t, dt, mask)
+    if not settings.samples:
+        return _compact(t, dt, mask)
+    importance = torch.where(mask, torch.exp(-before) * -torch.expm1(-highest * dt), 0.0)
+    return _resample(start, dt, importance, mask, settings, generator)
 
 
 def _compact(t: Tensor, dt: Tensor, mask: Tensor) -> Samples:
@@ -100,3 +107,34 @@ def _compact(t: Tensor, dt: Tensor, mask: Tensor) -> Samples:
     front_t, front_dt = t.new_zeros(kept.shape), t.new_zeros(kept.shape)
     front_t[kept], front_dt[kept] = t[mask], dt[mask]
     return Samples(front_t, front_dt, kept)
+
+
+def _resample(
+    start: Tensor,
+    dt: Tensor,
+    importance: Tensor,
+    mask: Tensor,
+    settings: MarchSettings,
+    generator: torch.Generator | None,
+) -> Samples:
+    """Draw samples in proportion to the opacity expected of each interval, more of them the more opacity there is.
+
+    A sample drawn with density p (1/m) among n stands for a length 1/(n p), so every sample has about the same optical
+    thickness and the integral along the ray stays right whatever the expectation was.
+    """
+    importance = torch.where(mask, importance + FLOOR * dt / dt.sum(dim=1, keepdim=True).clamp(min=1e-12), 0.0)
+    total = importance.sum(dim=1, keepdim=True)
+    count = (total * settings.samples_per_opacity + 1).ceil().clamp(max=settings.samples) * (total > 0)
+    width = int(count.max()) if len(dt) else 0
+    place = torch.arange(width, device=dt.device, dtype=dt.dtype).expand(len(dt), width)
+    kept = place < count
+    cumulative = torch.cumsum(importance, dim=1)
+    wanted = (place + _uniform(place, generator)) / count.clamp(min=1) * cumulative[:, -1:]
+    interval = torch.searchsorted(cumulative, wanted, right=True).clamp(max=dt.shape[1] - 1)
+    mass, length = importance.gather(1, interval), dt.gather(1, interval)
+    kept &= mass > 0
+    mass = torch.where(kept, mass, 1.0)
+    inside = ((wanted - cumulative.gather(1, interval)) / mass + 1).clamp(0, 1)
+    t = start.gather(1, interval) + inside * length
+    new_dt = length * total / (count.clamp(min=1) * mass)
+    return Samples(torch.where(kept, t, 0.0), torch.where(kept, new_dt, 0.0), kept)

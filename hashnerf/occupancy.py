@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from hashnerf.errors import UserError
@@ -66,7 +66,7 @@ class OccupancyGrid(nn.Module):
         cells = math.prod(self.shape)
         self.register_buffer("box", box.detach().float().clone(), persistent=False)
         self.register_buffer("inverse_edges", (1 / edges).float(), persistent=False)
-        self.register_buffer("maximum", torch.full((cells,), MAX_THICKNESS))
+        self.register_buffer("maximum", torch.zeros(cells))
         self.register_buffer("minimum", torch.zeros(cells))
         self.register_buffer("updates", torch.zeros((), dtype=torch.int64))
         self.register_buffer("rejected", torch.zeros((), dtype=torch.int64))
@@ -79,21 +79,28 @@ class OccupancyGrid(nn.Module):
         x, y, z = (place[:, axis].clamp(0, count - 1).to(torch.int32) for axis, count in enumerate(self.shape))
         return (x * ny + y) * nz + z
 
-    def extinction(self) -> Float[Tensor, " cells"]:
-        """Per cell: -1 if rays skip it, else the density (1/m) that it has in every condition, known opaque or 0."""
-        if int(self.updates) < self.config.warmup:
-            return torch.zeros_like(self.minimum)
+    def occupied(self) -> Bool[Tensor, " cells"]:
+        """Which cells rays must sample: all during the warm-up, and all with a warning if nothing is left."""
         occupied = self.maximum > self.config.threshold
+        if int(self.updates) < self.config.warmup:
+            return torch.ones_like(occupied)
         if not bool(occupied.any()):
             if not self.warned:
                 LOG.warning("the occupancy grid is empty: every cell is sampled until something becomes dense")
                 self.warned = True
-            return torch.zeros_like(self.minimum)
-        return torch.where(occupied, self.minimum / self.edge, -1.0)
+            return torch.ones_like(occupied)
+        return occupied
+
+    def densities(self) -> Float[Tensor, "cells 2"]:
+        """Greatest density of each cell over the bank (1/m; 0 = skip, never 0 where occupied) and the smallest."""
+        least = self.config.threshold  # an occupied cell of unknown or faded density still gets its share of samples
+        highest = torch.where(self.occupied(), self.maximum.clamp(min=least), 0.0)
+        lowest = self.minimum if int(self.updates) >= self.config.warmup else torch.zeros_like(self.minimum)
+        return torch.stack([highest, lowest], dim=1) / self.edge
 
     def occupied_fraction(self) -> float:
         """Share of the cells that rays sample."""
-        return float((self.extinction() >= 0).float().mean())
+        return float(self.occupied().float().mean())
 
     @torch.no_grad()
     def update(self, density_bank: Callable[[Float[Tensor, "p 3"]], Float[Tensor, "bank p"]]) -> None:

@@ -1,0 +1,217 @@
+"""Fitting a radiance field to posed images: one loop, resumable bit for bit, on one or several processes.
+
+The core does not know what a condition means: the caller's `draw_batch` gives rays, colours and condition vectors, and
+`condition_bank` the conditions that the occupancy grid must cover. Randomness is a function of (seed, step, process)
+alone, so that nothing random needs saving.
+"""
+
+import hashlib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from jaxtyping import Float, Int
+from lightning_fabric import Fabric
+from torch import Tensor, nn
+
+from hashnerf.errors import UserError
+from hashnerf.field import Field
+from hashnerf.finite_steps import FiniteSteps
+from hashnerf.marching import MarchSettings
+from hashnerf.occupancy import OccupancyGrid
+from hashnerf.rays import Rays
+from hashnerf.render import Rendering, render
+from hashnerf.training_run import TrainingRun
+from hashnerf.weight_average import WeightAverage
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """How a radiance field is trained."""
+
+    learning_rate: float = 0.01
+    """Adam's step at the start."""
+    final_learning_rate: float = 0.001
+    """Adam's step at the end, reached exponentially."""
+    loss: Literal["mse", "huber"] = "huber"
+    """Colour error: squared, or squared up to 0.1 and linear beyond."""
+    average_decay: float = 0.95
+    """Decay of the moving average of the weights that is used for rendering."""
+    rays: int = 4096
+    """Rays of the first step."""
+    most_rays: int = 16384
+    """Most rays of a step."""
+    batch_samples: int = 1 << 16
+    """Samples a step should have: the number of rays adapts to it."""
+    occupancy_every: int = 16
+    """Steps between updates of the occupancy grid."""
+    log_every: int = 20
+    """Steps between lines in the metrics."""
+    seed: int = 0
+    """Seed of everything random in the fit."""
+
+    def __post_init__(self):
+        for name in ("learning_rate", "final_learning_rate"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise UserError(f"fit.{name} is {getattr(self, name)}: use a positive number")
+        for name in ("rays", "most_rays", "batch_samples", "occupancy_every", "log_every"):
+            if getattr(self, name) < 1:
+                raise UserError(f"fit.{name} is {getattr(self, name)}: use at least 1")
+
+
+@dataclass(frozen=True)
+class RayBatch:
+    """What one step learns from."""
+
+    rays: Rays
+    """Rays of any cameras."""
+    rgb: Float[Tensor, "rays 3"]
+    """Their true colours in [0, 1]."""
+    conditions: Float[Tensor, "groups c"] | None = None
+    """Condition vectors used in this batch."""
+    condition_index: Int[Tensor, " rays"] | None = None
+    """Row of `conditions` of each ray."""
+    weight: Float[Tensor, " rays"] | None = None
+    """Weight of each ray's error; 1 if absent."""
+
+
+DrawBatch = Callable[[int, int, torch.Generator], RayBatch]
+ConditionBank = Callable[[int], Tensor | None]
+
+
+class _Loss(nn.Module):
+    """One module whose forward pass is a step's loss: data-parallel wrappers see every parameter through it."""
+
+    def __init__(self, field: Field, loss: str):
+        super().__init__()
+        self.field, self.loss = field, loss
+
+    def forward(
+        self, batch: RayBatch, occupancy: OccupancyGrid, settings: MarchSettings, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor, int]:
+        """Return the loss, the mean squared error per channel and the samples evaluated."""
+        seen = render_batch(self.field, batch, occupancy, settings, generator)
+        difference = seen.rgb - batch.rgb
+        squared = difference.square().mean(dim=1)
+        error = squared if self.loss == "mse" else _huber(difference).mean(dim=1)
+        weighted = error if batch.weight is None else error * batch.weight
+        return weighted.mean(), squared.detach().mean(), seen.samples_evaluated
+
+
+def _huber(difference: Tensor) -> Tensor:
+    return nn.functional.huber_loss(difference, torch.zeros_like(difference), reduction="none", delta=0.1)
+
+
+def render_batch(
+    field: Field,
+    batch: RayBatch,
+    occupancy: OccupancyGrid,
+    settings: MarchSettings,
+    generator: torch.Generator | None = None,
+) -> Rendering:
+    """Render the rays of a batch, each under its condition."""
+    rows, of_ray = batch.conditions, batch.condition_index
+    harmonics = field.harmonics(batch.rays.directions)
+
+    def field_fn(positions: Tensor, directions: Tensor, ray_index: Tensor) -> tuple[Tensor, Tensor]:
+        of_sample = None if of_ray is None else of_ray.index_select(0, ray_index)
+        return field.sample(positions, harmonics.index_select(0, ray_index), rows, of_sample)
+
+    def background_fn(directions: Tensor) -> Tensor:
+        return field.background(directions, rows, of_ray)
+
+    return render(batch.rays, field_fn, occupancy, settings, background_fn, generator)
+
+
+class FieldFit:
+    """A field being fitted: optimiser, weight average and step size; `objects` is what a training run must save."""
+
+    def __init__(
+        self,
+        field: Field,
+        occupancy: OccupancyGrid,
+        config: FitConfig,
+        settings: MarchSettings,
+        total_steps: int,
+        fabric: Fabric | None = None,
+    ):
+        self.field, self.occupancy, self.config, self.settings = field, occupancy, config, settings
+        self.total_steps, self.fabric = total_steps, fabric or Fabric(accelerator="cpu", devices=1)
+        fused = next(field.parameters()).device.type in ("cpu", "cuda")
+        optimizer = torch.optim.Adam(field.parameters(), config.learning_rate, (0.9, 0.99), eps=1e-15, fused=fused)
+        self.average = WeightAverage(field, config.average_decay)
+        self.loss, self.optimizer = self.fabric.setup(_Loss(field, config.loss), optimizer)
+        self.finite = FiniteSteps()
+        self.samples_per_ray = 0.0  # running mean
+
+    @property
+    def objects(self) -> dict:
+        """Everything whose state a checkpoint must hold, by name."""
+        return {"field": self.field, "occupancy": self.occupancy, "fit": self}
+
+    def state_dict(self) -> dict:
+        """Optimiser, weight average and running mean of samples."""
+        optimizer = self.optimizer.optimizer if hasattr(self.optimizer, "optimizer") else self.optimizer
+        return {
+            "optimizer": optimizer.state_dict(),
+            "average": self.average.state_dict(),
+            "samples_per_ray": self.samples_per_ray,
+        }
+
+    def load_state_dict(self, state: dict) -> None:
+        """Continue from a saved state."""
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.average.load_state_dict(state["average"])
+        self.samples_per_ray = state["samples_per_ray"]
+
+    def rays_wanted(self) -> int:
+        """Rays that give about the wanted number of samples."""
+        if not self.samples_per_ray:
+            return self.config.rays
+        return max(1, min(self.config.most_rays, round(self.config.batch_samples / self.samples_per_ray)))
+
+    def generator(self, step: int) -> torch.Generator:
+        """The source of randomness of one step of this process."""
+        # hashed, because the generator of a processor uses only the lowest 32 bits of its seed
+        digest = hashlib.sha256(f"{self.config.seed} {step} {self.fabric.global_rank}".encode()).digest()
+        return torch.Generator(device=self.fabric.device).manual_seed(int.from_bytes(digest[:4], "big"))
+
+    def update_occupancy(self, conditions: Tensor | None) -> None:
+        """Refresh the occupancy grid for a bank of conditions."""
+        self.occupancy.update(lambda positions: self.field.density_bank(positions, conditions))
+
+    def step(self, step: int, batch: RayBatch, generator: torch.Generator) -> dict[str, float]:
+        """Take one optimiser step (or skip it if anything is not finite) and return its metrics."""
+        progress = min(step / max(self.total_steps, 1), 1.0)
+        decay = self.config.final_learning_rate / self.config.learning_rate
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.config.learning_rate * decay**progress
+        self.optimizer.zero_grad()
+        loss, squared, samples = self.loss(batch, self.occupancy, self.settings, generator)
+        self.fabric.backward(loss)
+        gradient = torch.nn.utils.get_total_norm([p.grad for p in self.field.parameters() if p.grad is not None])
+        if self.finite.accepts(step, {"colour loss": loss.detach(), "gradient": gradient}):
+            self.optimizer.step()
+            self.average.update()
+        mean = samples / max(len(batch.rays), 1)
+        self.samples_per_ray = mean if not self.samples_per_ray else 0.8 * self.samples_per_ray + 0.2 * mean
+        return {
+            "loss": float(loss.detach()),
+            "psnr": -10 * math.log10(max(float(squared), 1e-12)),
+            "rays": len(batch.rays),
+            "samples": samples,
+            "skipped": self.finite.skipped,
+        }
+
+
+def fit_field(fit: FieldFit, draw_batch: DrawBatch, condition_bank: ConditionBank, run: TrainingRun) -> None:
+    """Train until the run is over: `draw_batch(step, rays, generator)` gives about as many rays as asked."""
+    for step in run.steps():
+        if step % fit.config.occupancy_every == 0:
+            fit.update_occupancy(condition_bank(step))
+        generator = fit.generator(step)
+        metrics = fit.step(step, draw_batch(step, fit.rays_wanted(), generator), generator)
+        if step % fit.config.log_every == 0:
+            run.log(step, **metrics)
