@@ -27,6 +27,7 @@ from hashnerf.training_run import TrainingRun
 
 WARM_UP = 50  # steps: at full rate from the start, most ReLU units die in the first few
 FIRST_TEMPERATURE = 4.0  # times the largest variance of the targets: hot enough for one shared mean to form first
+NUDGE = 0.2  # of the temperature's length: equal components would stay equal, and tiny differences grow too slowly
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ def train_mdn(
     """
     everything = sampler.all_sources(torch.Generator().manual_seed(sampler.seed))
     mdn.set_statistics(everything.source, everything.target)
-    annealing = Annealing.of(everything, round(config.split_share * config.steps))
+    annealing = Annealing.of(everything, round(config.split_share * config.steps), config.components)
     optimizer = torch.optim.Adam(mdn.parameters(), lr=config.lr, fused=True)
     guard = FiniteSteps()
     objects = {"mdn": mdn, "optimizer": optimizer}
@@ -126,14 +127,18 @@ class Annealing:
     steps: int
     unit: Float[Tensor, " d"]
     first_temperature: float
+    nudge: Float[Tensor, "k d"]
+    """Where each component is pretended to be, off its mean, in units of the temperature's square root."""
 
     @classmethod
-    def of(cls, pairs: TransitionBatch, steps: int) -> "Annealing":
+    def of(cls, pairs: TransitionBatch, steps: int, components: int) -> "Annealing":
         """Returns the annealing for these targets: it starts above the largest variance of their means."""
         unit = pairs.target.logvar.exp().mean(dim=0).sqrt()
         centred = (pairs.target.mean - pairs.target.mean.mean(dim=0)) / unit
         largest = float(torch.linalg.matrix_norm(centred.double(), ord=2)) ** 2 / len(centred)
-        return cls(steps, unit, FIRST_TEMPERATURE * max(largest, 1.0))
+        nudge = torch.randn(components, len(unit), generator=torch.Generator().manual_seed(0)).to(unit)
+        nudge = NUDGE * torch.nn.functional.normalize(nudge - nudge.mean(dim=0), dim=1)
+        return cls(steps, unit, FIRST_TEMPERATURE * max(largest, 1.0), nudge)
 
     def temperature(self, step: int) -> float:
         """Returns the temperature of a step: a geometric fall to 1, the variance of a posterior."""
@@ -141,8 +146,10 @@ class Annealing:
 
     def loss(self, mixture: GaussianMixture, batch: TransitionBatch, step: int) -> Float[Tensor, ""]:
         """Returns the negative log-likelihood with each target shared among the components by distance alone."""
-        distance = ((batch.target.mean[:, None] - mixture.means.detach()) / self.unit).square().sum(dim=-1)
-        share = torch.softmax(-0.5 * distance / self.temperature(step), dim=-1)
+        length = self.unit * self.temperature(step) ** 0.5
+        places = mixture.means.detach() / length + self.nudge
+        distance = (batch.target.mean[:, None] / length - places).square().sum(dim=-1)
+        share = torch.softmax(-0.5 * distance, dim=-1)
         log_prob = mixture.log_weights[:, None] + mixture.component_log_prob(batch.samples)
         return -(share[:, None] * log_prob).sum(dim=-1).mean()
 
