@@ -34,13 +34,16 @@ class DecoderConfig:
     """Hidden units of `components`, or channels of the first feature map of `conv`."""
     targets: int = 2
     """Target cameras decoded per encoded picture and step by `conv`."""
-    balance: bool = True
-    """Let `components` count every camera alike: its error is divided by how much its own pictures change."""
+    balance: float = 1.0
+    """How far `components` weighs small changes like large ones: 0 is the plain pixel error, 1 counts every component of
+    every camera alike."""
 
     def __post_init__(self):
         for key in ("components", "width", "targets"):
             if getattr(self, key) < 1:
                 raise UserError(f"decoder.{key} is {getattr(self, key)}; give at least 1")
+        if not 0 <= self.balance <= 1:
+            raise UserError(f"decoder.balance is {self.balance}; give a value from 0 to 1")
 
 
 class ComponentsDecoder(nn.Module):
@@ -83,18 +86,19 @@ class ComponentsDecoder(nn.Module):
             targets[present, camera, :rank] = centred @ basis.T
         self.scale.copy_(targets.square().mean(dim=0).sqrt().clamp(min=1e-3))
         self.targets = targets
-        self.target_weight = (view_index >= 0).float() * self._camera_weight(targets)
+        self.target_valid = (view_index >= 0).float()
+        self.weight = self._component_weight(targets)
 
-    def _camera_weight(self, targets: Float[Tensor, "states cameras rank"]) -> Float[Tensor, " cameras"]:
-        """Returns each camera's weight in the loss, 1 on average over what changes.
+    def _component_weight(self, targets: Float[Tensor, "states cameras rank"]) -> Float[Tensor, "cameras rank"]:
+        """Returns the weight of each component's squared error, 1 on average over what changes.
 
-        A camera with a car right in front of it changes a hundred times more than one that sees the whole crossing from
-        afar; without weights the latent learns the former and ignores what only the latter shows.
+        A car right in front of a camera changes a hundred times more pixels than a truck far away; by the plain error
+        the latent learns where the car stands and ignores whether there is a truck.
         """
-        energy = targets.square().sum(dim=-1).mean(dim=0)
-        if not self.balance or not energy.any():
+        energy = targets.square().mean(dim=0)
+        if not energy.any():
             return torch.ones_like(energy)
-        weight = 1 / (energy + 0.1 * energy[energy > 0].median())
+        weight = (energy + 0.1 * energy[energy > 0].median()) ** -self.balance
         return weight * energy.sum() / (weight * energy).sum()
 
     def coefficients(self, latents: Float[Tensor, "b d"]) -> Float[Tensor, "b cameras rank"]:
@@ -104,15 +108,15 @@ class ComponentsDecoder(nn.Module):
     def reconstruction_loss(
         self, latents: Float[Tensor, "b d"], state: Int[Tensor, " b"], generator: torch.Generator
     ) -> Float[Tensor, ""]:
-        """Returns the pixel-mean squared error over all target cameras, weighted by camera if balanced.
+        """Returns the pixel-mean squared error over all target cameras, its components weighted by `balance`.
 
         The part of the pictures that no component reaches is left out: no latent can change it.
         """
         del generator  # every camera is a target: nothing to draw
         target = self.targets.to(latents.device)[state]
-        weight = self.target_weight.to(latents.device)[state]
-        squared = (self.coefficients(latents) - target).square().sum(dim=-1)
-        return (squared * weight).sum() / (weight > 0).sum().clamp(min=1) / self.mean.shape[1]
+        valid = self.target_valid.to(latents.device)[state]
+        squared = ((self.coefficients(latents) - target).square() * self.weight.to(latents.device)).sum(dim=-1)
+        return (squared * valid).sum() / valid.sum().clamp(min=1) / self.mean.shape[1]
 
     def pictures(self, latents: Float[Tensor, "b d"], camera: Int[Tensor, " b"]) -> Float[Tensor, "b h w 3"]:
         """Returns the picture of each latent from its camera."""

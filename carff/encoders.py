@@ -69,7 +69,9 @@ class ConvEncoder(nn.Module):
         self.augment = config.augment
         w = config.width
         self.trunk = nn.Sequential(
-            nn.Conv2d(3, w, 4, 4),
+            nn.Conv2d(3, 16, 5, 2, 2),
+            nn.ReLU(),
+            nn.Conv2d(16, w, 3, 2, 1),
             nn.GroupNorm(8, w),
             nn.ReLU(),
             ResidualBlock(w, w, 1),

@@ -30,7 +30,7 @@ class LatentBank:
         return int(self.state.max()) + 1
 
     def draw(self, states: Int[Tensor, " n"], fresh_share: float, generator: torch.Generator) -> Float[Tensor, "n d"]:
-        """Draws a latent per requested state: fresh from the posterior with probability `fresh_share`, else the fixed one.
+        """Draws a latent per requested state: a fresh sample with probability `fresh_share`, else the fixed one.
 
         A Bernoulli choice keeps every draw a draw from the posterior; a convex blend of two samples is not one
         (CARFF B.3 "slowly introduce the re-sampled latents").

@@ -16,7 +16,7 @@ from hashnerf.posed_images import PosedImages
 from hashnerf.training_run import TrainingRun
 
 LOG_EVERY = 10
-# Adam divides the gradient's scale out again, but adds 1e-8 first: gradients of an error of 1e-3 are not far above that.
+# Adam divides the gradient's scale out again, but adds 1e-8 first, and an error of 1e-3 has gradients not far above it.
 LOSS_SCALE = 1e3
 GRADIENT_LIMIT = 10.0
 

@@ -15,7 +15,7 @@ class FiniteSteps:
         self.in_a_row = 0
 
     def accepts(self, step: int, terms: dict[str, Tensor | float]) -> bool:
-        """Returns whether every term is finite; raises UserError naming the bad ones when it fails eleven times running."""
+        """Returns whether every term is finite; raises UserError names the bad ones at the eleventh failure running."""
         bad = [name for name, value in terms.items() if not abs(float(value)) < float("inf")]
         if not bad:
             self.in_a_row = 0

@@ -3,8 +3,8 @@
 python scripts/demo.py --config configs/carff/fast.yaml
 python scripts/demo.py --config configs/carff/fast.yaml --config configs/carff/two_lane_merge.yaml
 
-If `configs/worlds/<name of the data-set folder>.yaml` exists, that embedded world is rendered first and driven in closed
-loop; otherwise the data set is taken as it is. Interrupted? The same command continues.
+If `configs/worlds/<name of the data-set folder>.yaml` exists, that embedded world is rendered first and driven in
+closed loop; otherwise the data set is taken as it is. Interrupted? The same command continues.
 """
 
 import sys

@@ -1,12 +1,23 @@
 """A data set small enough for unit tests: two branches x two steps, four cameras on a line, 32 px."""
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-from carff.states import StateTable, build_state_table
+from carff.beliefs import Belief
+from carff.config import CarffConfig, EvaluationConfig
+from carff.evaluation_data import EvaluationData, all_views
+from carff.figure_style import state_style
+from carff.mixtures import GaussianMixture
+from carff.model import CarffModel
+from carff.nerf import LatentNerf
+from carff.probe import Probe, ProbeConfig, build_candidates
+from carff.scene_info import SceneInfo, scene_info
+from carff.states import StateTable, ambiguous_groups, build_state_table
 from hashnerf.cameras import Cameras, look_at
 from hashnerf.posed_images import Frame, PosedImages
 
@@ -31,7 +42,10 @@ def tiny_data() -> PosedImages:
     poses = [look_at((-6.0, -1.5 + camera, 2.0), (0.0, 0.0, 0.5)) for camera in range(3)]
     poses.append(look_at((0.0, 0.0, 9.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
     frames = [
-        Frame(f"images/b{b}_s{s}_c{c}.png", "train", b, s, c) for b in range(2) for s in range(2) for c in range(CAMERAS)
+        Frame(f"images/b{b}_s{s}_c{c}.png", "train", b, s, c)
+        for b in range(2)
+        for s in range(2)
+        for c in range(CAMERAS)
     ]
     pose = torch.stack([torch.as_tensor(np.asarray(poses[frame.camera])).float() for frame in frames])
     focal = torch.full((len(frames), 2), 30.0)
@@ -59,3 +73,97 @@ def tiny_data() -> PosedImages:
 def tiny_table(tiny_data: PosedImages) -> StateTable:
     """Its states."""
     return build_state_table(tiny_data)
+
+
+class KnowingMdn:
+    """Forecasts the true next states: one narrow component per state, weighted as the belief weighs its predecessor."""
+
+    def __init__(self, successor: torch.Tensor):
+        self.successor = successor
+
+    def __call__(self, mean: torch.Tensor, logvar: torch.Tensor) -> GaussianMixture:
+        states = len(self.successor)
+        after = torch.where(self.successor >= 0, self.successor, torch.arange(states))
+        means = torch.eye(states)[after].expand(len(mean), -1, -1)
+        return GaussianMixture(mean.clamp(min=1e-30).log(), means, torch.full((len(mean), states, states), -6.0))
+
+
+class KnowingPcvae:
+    """Decodes a latent to the true picture of its largest entry, 0.1 too bright."""
+
+    def __init__(self, images: torch.Tensor, views: torch.Tensor):
+        self.images, self.views = images, views
+
+    def parameters(self):
+        """Yields something that lies on the CPU."""
+        yield torch.zeros(1)
+
+    def decode(self, latents: torch.Tensor, camera: torch.Tensor) -> torch.Tensor:
+        """Returns pictures [b, h, w, 3]."""
+        return self.images[self.views[latents.argmax(dim=1), camera]].float() / 255 + 0.1
+
+
+class KnowingNerf(LatentNerf):
+    """Renders the true picture of a latent's largest entry, `error` too bright."""
+
+    def __init__(self, images: torch.Tensor, views: torch.Tensor, error: float = 0.05):
+        torch.nn.Module.__init__(self)
+        self.register_buffer("latent_centre", torch.zeros(1))
+        self.images, self.views, self.error = images, views, error
+
+    def render(self, latent: torch.Tensor, cameras: Cameras, index: int) -> SimpleNamespace:
+        """Returns what has an `rgb` [pixels, 3]."""
+        picture = self.images[self.views[latent.argmax(), index]].float() / 255 + self.error
+        return SimpleNamespace(rgb=picture.reshape(-1, 3))
+
+
+class KnowingModel(CarffModel):
+    """A model without networks: latent i stands for state i, and a view's belief is spread over the states it fits."""
+
+    def __init__(self, config: CarffConfig, scene: SceneInfo, images: torch.Tensor, table: StateTable):
+        candidates = build_candidates([list(boxes) for boxes in scene.actors], ProbeConfig(columns=(1, 1), levels=1))
+        boxes = len(candidates.names)
+        parts = {
+            "config": config,
+            "scene": scene,
+            "pcvae": KnowingPcvae(images, table.views),
+            "nerf": KnowingNerf(images, table.views),
+            "mdn": KnowingMdn(table.successor),
+            "probe": Probe(candidates, torch.zeros(boxes), torch.ones(boxes), 0.6),
+            "state_beliefs": Belief(torch.eye(len(table)), torch.full((len(table), len(table)), -12.0)),
+            "costs": {name: {"seconds": 1.5, "peak_memory_mb": 100.0} for name in ("pcvae", "nerf", "mdn")},
+            "images": images,
+            "table": table,
+        }
+        for name, value in parts.items():
+            object.__setattr__(self, name, value)
+
+    def encode(self, pictures: torch.Tensor) -> Belief:
+        """Believes evenly in the states that give exactly this picture."""
+        same = (pictures[:, None] == self.images[None]).flatten(2).all(dim=2).float()
+        state = torch.full((len(self.images),), -1)
+        shown = self.table.views >= 0
+        state[self.table.views[shown]] = shown.nonzero()[:, 0]
+        weight = same @ torch.nn.functional.one_hot(state, len(self.table)).float()
+        mean = weight / weight.sum(dim=1, keepdim=True)
+        return Belief(mean, torch.full_like(mean, -12.0))
+
+    def probe_latents(self, latents: torch.Tensor, at_once: int = 64) -> torch.Tensor:
+        """Reads the largest entry; unknown (-1) without a clear one."""
+        value, state = latents.max(dim=1)
+        return torch.where(value > 0.6, state, -1)
+
+
+@pytest.fixture
+def tiny_evaluation(tiny_data: PosedImages, tmp_path: Path) -> EvaluationData:
+    """A run that knows everything, beside the tiny data set with camera 2 held out, in a run folder of its own."""
+    frames = tuple(replace(frame, split="test" if frame.camera == 2 else "train") for frame in tiny_data.frames)
+    data = replace(tiny_data, frames=frames)
+    table = build_state_table(data)
+    evaluation = EvaluationConfig(images=2, trials=4, curve_samples=5, episodes=2)
+    config = CarffConfig(name="known", runs=str(tmp_path), dataset="tiny", device="cpu", evaluation=evaluation)
+    config.folder.mkdir()
+    model = KnowingModel(config, scene_info(data, table), data.images, table)
+    groups = ambiguous_groups(data.images, table.views)
+    views = all_views(table, groups, model.encode(data.images))
+    return EvaluationData(config, data, table, model, groups, views, state_style(table.states, table.branch_names))

@@ -15,7 +15,7 @@ def pictures_and_index(states: int = 4, cameras: int = 3, size: int = 8):
 
 def components(states: int = 4, cameras: int = 3, size: int = 8, rank: int = 16) -> ComponentsDecoder:
     torch.manual_seed(0)
-    decoder = ComponentsDecoder(DecoderConfig(components=rank, width=16, balance=False), 8, cameras, states, size, size)
+    decoder = ComponentsDecoder(DecoderConfig(components=rank, width=16, balance=0.0), 8, cameras, states, size, size)
     pictures, index = pictures_and_index(states, cameras, size)
     decoder.fit_basis(pictures, index)
     return decoder

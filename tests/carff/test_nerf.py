@@ -54,7 +54,7 @@ def test_fresh_share_by_hand():
 
 
 def test_bad_settings_are_named():
-    with pytest.raises(UserError, match="nerf.fresh_end"):
+    with pytest.raises(UserError, match=r"nerf.fresh_end"):
         NerfConfig(fresh_start=0.5, fresh_end=0.2)
-    with pytest.raises(UserError, match="nerf.changed_share"):
+    with pytest.raises(UserError, match=r"nerf.changed_share"):
         NerfConfig(changed_share=1.5)

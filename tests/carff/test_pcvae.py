@@ -24,9 +24,7 @@ def test_first_beliefs_are_sharp(tiny_data, tiny_table):
 
 def test_encode_splits_into_batches_without_effect(tiny_data, tiny_table):
     pcvae = build(tiny_data, tiny_table)
-    assert torch.allclose(
-        pcvae.encode(tiny_data.images).mean, pcvae.encode(tiny_data.images, batch=3).mean, atol=2e-2
-    )
+    assert torch.allclose(pcvae.encode(tiny_data.images).mean, pcvae.encode(tiny_data.images, batch=3).mean, atol=2e-2)
 
 
 def test_encode_leaves_the_training_mode_as_it_was(tiny_data, tiny_table):
