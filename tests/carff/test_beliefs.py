@@ -126,6 +126,18 @@ def test_kl_is_never_negative_and_matches_float64(logvar):
         assert value == pytest.approx(exact, rel=2e-5)
 
 
+def test_kl_near_zero_keeps_all_digits_of_value_and_gradient():
+    # expm1(l) - l loses three digits at l = 1e-4 in float32; (expm1(l) + 1) - 1 in its gradient loses four.
+    size = torch.logspace(-6, -1, 60)
+    logvar = torch.cat([size, -size])[:, None].requires_grad_()
+    kl = kl_to_standard_normal(Belief(torch.zeros_like(logvar), logvar))
+    kl.sum().backward()
+    exact = logvar.detach().double()[:, 0]
+    series = exact**2 / 4 * (1 + exact / 3 + exact**2 / 12 + exact**3 / 60 + exact**4 / 360)
+    torch.testing.assert_close(kl.double(), series, rtol=2e-5, atol=0)
+    torch.testing.assert_close(logvar.grad[:, 0].double(), 0.5 * torch.expm1(exact), rtol=2e-5, atol=0)
+
+
 def test_kl_gradient_near_zero_and_gradcheck():
     logvar = torch.tensor([[-1e-3, 1e-3, 9.9e-3, 1.01e-2, -4.0, 5.0]], dtype=torch.float64, requires_grad=True)
     mean = torch.randn(1, 6, dtype=torch.float64, requires_grad=True)
