@@ -16,14 +16,16 @@ class _TruncatedExp(torch.autograd.Function):
     @staticmethod
     def forward(ctx, x: Tensor) -> Tensor:
         ctx.save_for_backward(x)
-        return torch.exp(x.clamp(max=EXPONENT_LIMIT))
+        return torch.exp(at_least_float32(x).clamp(max=EXPONENT_LIMIT))
 
     @staticmethod
     def backward(ctx, gradient: Tensor) -> Tensor:
         # Above the limit the slope stays that of the limit, so that a density that ran away can come down again;
         # below the lower limit it does not vanish either, so that an empty cell can fill up again.
         (x,) = ctx.saved_tensors
-        return gradient * torch.exp(x.clamp(-EXPONENT_LIMIT, EXPONENT_LIMIT))
+        slope = gradient * torch.exp(at_least_float32(x).clamp(-EXPONENT_LIMIT, EXPONENT_LIMIT))
+        largest = torch.finfo(x.dtype).max  # exp(15) is beyond float16
+        return slope.clamp(-largest, largest).to(x.dtype)
 
 
 class _OneMinusExp(torch.autograd.Function):
@@ -41,7 +43,7 @@ class _OneMinusExp(torch.autograd.Function):
 
 def truncated_exp(x: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
     """exp(x), bounded above by exp(15), with a slope bounded to [exp(-15), exp(15)]."""
-    return _TruncatedExp.apply(at_least_float32(x))
+    return _TruncatedExp.apply(x)
 
 
 def one_minus_exp(x: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:

@@ -145,7 +145,7 @@ def _add_rows(table: Tensor, index: Tensor, rows: Tensor) -> None:
     One-dimensional `index_add_` over complex numbers is the fastest scatter of PyTorch on a processor.
     """
     target = torch.view_as_complex(table.view(-1, 2))
-    source = torch.view_as_complex(rows.view(rows.shape[0], -1, 2))
+    source = torch.view_as_complex(rows.view(rows.shape[0], rows.shape[1] // 2, 2))
     pairs = source.shape[1]
     for pair in range(pairs):
         target.index_add_(0, index if pairs == 1 else index * pairs + pair, source[:, pair])
