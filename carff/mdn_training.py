@@ -8,7 +8,7 @@ Hot, all components follow the same mean of what may come next; cooling, they pa
 which a source's targets really differ. No branch label is used. Then plain likelihood takes over.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import torch
@@ -92,7 +92,8 @@ def train_mdn(
 ) -> None:
     """Trains in a run folder and saves the model there; `record` is what the folder keeps as its config.
 
-    Batches and schedules depend on seed and step alone: a resumed run takes the path of an uninterrupted one.
+    Batches and schedules depend on seed and step alone: a resumed run takes the path of an uninterrupted one. The last
+    line of the metrics tells whether the mixture uses its components.
     """
     everything = sampler.all_sources(torch.Generator().manual_seed(sampler.seed))
     mdn.set_statistics(everything.source, everything.target)
@@ -116,8 +117,9 @@ def train_mdn(
             if step % config.log_every == 0 or step + 1 == config.steps:
                 largest = mixture.log_weights.exp().amax(dim=1).mean()
                 run.log(step, nll=nll, largest_weight=largest, skipped=guard.skipped)
+        mdn.eval()
+        run.log(config.steps, **asdict(mixture_health(mdn, sampler)))
         save_model(folder, mdn, run)
-    mdn.eval()
 
 
 @dataclass(frozen=True)

@@ -1,3 +1,4 @@
+import json
 import math
 from pathlib import Path
 
@@ -143,6 +144,17 @@ def test_an_interrupted_training_ends_exactly_like_an_uninterrupted_one(tmp_path
     resumed = trained(sampler, tmp_path / "parts", steps=40, save_every=10)
     for name, value in whole.state_dict().items():
         assert torch.equal(value, resumed.state_dict()[name]), name
+
+
+def test_the_metrics_end_with_the_health_of_the_mixture(tmp_path):
+    sampler = one_step((-3.0, 3.0), 1)
+    mdn = trained(sampler, tmp_path / "run", steps=10)
+    lines = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
+    assert [line["step"] for line in lines] == [0, 9, 10]
+    assert {name: lines[-1][name] for name in ("nll", "several_modes")} == {
+        "nll": mixture_health(mdn, sampler).nll,
+        "several_modes": mixture_health(mdn, sampler).several_modes,
+    }
 
 
 def test_the_seed_decides(tmp_path):
