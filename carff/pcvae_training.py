@@ -65,7 +65,7 @@ def train_pcvae(
             if guard.accepts(step, {"error": error.detach(), "kl": divergence.detach(), "gradient": norm}):
                 optimizer.step()
             if step % LOG_EVERY == 0 or step + 1 == config.steps:
-                psnr = -10 * math.log10(max(float(error), 1e-10))
+                psnr = -10 * math.log10(max(float(error.detach()), 1e-10))
                 run.log(step, error=error, kl=divergence, kl_weight=weight, psnr=psnr, skipped=guard.skipped)
         save_model(folder, pcvae, run)
     pcvae.eval()

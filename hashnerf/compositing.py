@@ -26,7 +26,7 @@ def sample_weights(
     thickness = (density * dt).clamp(max=MAX_THICKNESS)
     # exclusive sum by shifting: subtracting a thick sample from an inclusive sum would lose the thin ones before it
     total = torch.cumsum(thickness, dim=1)
-    before = torch.cat([torch.zeros_like(total[:, :1]), total], dim=1)
+    before = torch.cat([total.new_zeros(len(total), 1), total], dim=1)
     transmittance = torch.exp(-before)
     return transmittance[:, :-1] * one_minus_exp(thickness), transmittance[:, -1]
 
@@ -37,7 +37,8 @@ def composite_colour(
     """Blend sample colours by weight over a background that fills what opacity is missing."""
     weights, rgb, background = (at_least_float32(value) for value in (weights, rgb, background))
     opacity = weights.sum(dim=1, keepdim=True)
-    colour = torch.matmul(weights[:, None, :], rgb)[:, 0, :]
+    with torch.autocast(weights.device.type, enabled=False):  # autocast would multiply in half precision
+        colour = torch.matmul(weights[:, None, :], rgb)[:, 0, :]
     # rounding can lift opacity a little above 1: neither the background nor the sum may leave [0, 1]
     return colour / opacity.clamp(min=1) + (1 - opacity).clamp(min=0) * background
 

@@ -19,9 +19,9 @@ from hashnerf.errors import UserError
 
 LOG = logging.getLogger(__name__)
 MAX_THICKNESS = 10.0  # exp(-10): opaque. A bounded spike decays below the threshold within a bounded number of updates
-# Additive recurrence of the plastic number: consecutive points fill the unit cube evenly, so a thin pole is soon met
-PLASTIC = 1.2207440846057596
-SEQUENCE = tuple(1 / PLASTIC**power for power in (1, 2, 3))
+# Additive recurrence: consecutive points fill a cell evenly, so a thin pole is soon met. The plastic number's powers fill
+# the plane best, and most poles stand upright; the golden ratio goes well with them in height.
+SEQUENCE = (1 / 1.324717957244746, 1 / 1.324717957244746**2, 2 / (1 + math.sqrt(5)))
 CHUNK = 1 << 17  # positions evaluated at once
 
 
@@ -112,7 +112,7 @@ class OccupancyGrid(nn.Module):
         number = int(self.updates)
         turns = 1 if number < self.config.warmup else self.config.turns
         device = self.maximum.device
-        cells = torch.arange(number % turns, self.maximum.numel(), turns, device=device)
+        cells = torch.arange(self.maximum.numel(), device=device)[number % turns :: turns]
         # counts on through the visits of one cell, so that its points keep filling it evenly
         visit = number if turns == 1 else self.config.warmup + (number - self.config.warmup) // turns
         for chunk in cells.split(CHUNK // self.config.points):

@@ -89,7 +89,7 @@ class KnowingMdn:
 
 
 class KnowingPcvae:
-    """Decodes a latent to the true picture of its largest entry, 0.1 too bright."""
+    """Decodes a latent to the true picture of its largest entry, 0.1 too dark."""
 
     def __init__(self, images: torch.Tensor, views: torch.Tensor):
         self.images, self.views = images, views
@@ -100,7 +100,7 @@ class KnowingPcvae:
 
     def decode(self, latents: torch.Tensor, camera: torch.Tensor) -> torch.Tensor:
         """Returns pictures [b, h, w, 3]."""
-        return self.images[self.views[latents.argmax(dim=1), camera]].float() / 255 + 0.1
+        return self.images[self.views[latents.argmax(dim=1), camera]].float() / 255 - 0.1
 
 
 class KnowingNerf(LatentNerf):

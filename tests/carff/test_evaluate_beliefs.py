@@ -57,7 +57,7 @@ def test_reconstructions_are_scored_at_another_camera_of_the_same_state(tiny_eva
     views = tiny_evaluation.views
     clear = views.select(views.determined)
     whole, changed, _ = decoded_psnr(tiny_evaluation, clear, clear.belief.mean)
-    # The decoder is 0.1 too bright everywhere: 10 log10(1 / 0.01) = 20 dB, on changed pixels too.
+    # The decoder is 0.1 too dark everywhere: 10 log10(1 / 0.01) = 20 dB, on changed pixels too.
     assert whole == pytest.approx(np.full(12, 20.0), abs=1e-3)
     assert changed == pytest.approx(np.full(12, 20.0), abs=1e-3)
 

@@ -1,4 +1,4 @@
-"""Helpers of the numerical tests: magnitudes over the whole range of a number format, and finite values and gradients."""
+"""Helpers of the numerical tests: magnitudes over the whole range of a number format, finite values and gradients."""
 
 from collections.abc import Callable
 

@@ -1,0 +1,74 @@
+"""Recorded episodes, and what every stage cost."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from carff import evaluate_costs as costs_part
+from carff.closed_loop_file import save_closed_loop
+from carff.evaluate_costs import evaluate_closed_loop, evaluate_costs, peak_memory_mb
+from carff.planning_metrics import Episode
+
+
+def in_a_world(evaluation):
+    scene = replace(evaluation.model.scene, world={"scenario": "intersection"})
+    object.__setattr__(evaluation.model, "scene", scene)
+    return evaluation
+
+
+def test_episodes_are_read_from_the_run_folder(tiny_evaluation):
+    evaluation = in_a_world(tiny_evaluation)
+    assert "plan_carla.py --run" in evaluate_closed_loop(evaluation).not_run["closed_loop"]
+    crash = Episode("risk", 1, True, True, False, False, None, 3)
+    fine = Episode("risk", 0, False, False, True, True, 4.0, 5)
+    save_closed_loop(evaluation.config.folder, [crash, fine], {"samples": 10})
+    part = evaluate_closed_loop(evaluation)
+    assert part.results["closed_loop"]["risk"]["collisions"] == 1
+    assert part.results["closed_loop"]["risk"]["needless_stop_rate"] == 1.0
+    assert part.results["closed_loop_settings"] == {"samples": 10}
+    assert set(part.figures) == {"closed_loop"}
+
+
+def test_a_world_that_cannot_be_driven_in_gives_its_reason(tiny_evaluation):
+    evaluation = in_a_world(tiny_evaluation)
+    save_closed_loop(evaluation.config.folder, [], {}, "the ego stands still")
+    assert evaluate_closed_loop(evaluation).not_run == {"closed_loop": "the ego stands still"}
+
+
+def test_photographs_have_no_world_to_drive_in(tiny_evaluation):
+    assert "not rendered from an embedded world" in evaluate_closed_loop(tiny_evaluation).not_run["closed_loop"]
+
+
+def test_costs_of_training_add_up_with_this_evaluation(tiny_evaluation):
+    part = evaluate_costs(tiny_evaluation, 2.0)
+    # three models of 1.5 s each and 2 s of evaluation
+    assert part.results["seconds_total"] == pytest.approx(6.5)
+    names = [stage["name"] for stage in part.results["stages"]]
+    assert names == ["PC-VAE", "radiance field", "forecast", "evaluation"]
+    assert set(part.figures) == {"stages"}
+
+
+def test_the_two_radiance_fields_are_listed_apart(tiny_evaluation, monkeypatch):
+    (tiny_evaluation.config.folder / "nerf_birds_eye").mkdir()
+    held_out = {"seconds": 7.0, "peak_memory_mb": 5.0}
+    monkeypatch.setattr(costs_part, "load_nerf", lambda config, scene, held_out: (None, cost))
+    cost = held_out
+    stages = {stage["name"]: stage["seconds"] for stage in evaluate_costs(tiny_evaluation, 0.0).results["stages"]}
+    assert stages["radiance field"] == 7.0 and stages["radiance field, with bird's-eye camera"] == 1.5
+
+
+def test_whole_processes_that_were_timed_count_instead(tiny_evaluation):
+    timed = {
+        "data set": {"seconds": 10.0, "peak_memory_mb": 1.0},
+        "PC-VAE": {"seconds": 20.0, "peak_memory_mb": 2.0},
+        "evaluation": {"seconds": 99.0, "peak_memory_mb": 3.0},
+    }
+    (tiny_evaluation.config.folder / "timings.json").write_text(json.dumps({"stages": timed}))
+    results = evaluate_costs(tiny_evaluation, 5.0).results
+    assert results["seconds_total"] == 35.0, "10 + 20 + 5; an earlier evaluation does not count"
+    assert [stage["name"] for stage in results["stages"]] == ["data set", "PC-VAE", "evaluation"]
+
+
+def test_memory_is_in_megabytes():
+    assert 50 < peak_memory_mb() < 100_000

@@ -1,0 +1,74 @@
+"""The two example pictures and their sampled futures."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from carff import evaluate_futures as futures_part
+from carff.evaluate_futures import evaluate_futures, example_view, futures_of, shown_cameras, shrunk
+
+
+def row_of(evaluation, state: int, camera: int) -> int:
+    views = evaluation.views
+    return int(((views.state == state) & (views.camera == camera)).nonzero()[0, 0])
+
+
+def test_futures_of_an_occluded_picture(tiny_evaluation):
+    futures = futures_of(tiny_evaluation, row_of(tiny_evaluation, 0, 0))
+    assert futures.true_states == (1, 3) and futures.true_probability == (0.5, 0.5)
+    assert futures.view_names == ("bird's-eye 3", "ego 1")
+    assert futures.true_pictures.shape == (2, 2, 32, 32, 3)
+    assert futures.sampled_pictures.shape == (5, 2, 32, 32, 3)
+    assert set(futures.sampled_states) <= {1, 3} and len(futures.sampled_states) == 5
+    assert sum(futures.state_probability) == pytest.approx(1) and futures.state_probability[4] == 0
+    assert 0.3 < futures.state_probability[3] < 0.7  # 4 standard deviations of 100 draws around one half
+    # what is shown is what was sampled: the renderer shows the state's own picture, 0.05 (13 levels) too bright
+    truth = tiny_evaluation.pictures_at(3)[futures.sampled_states[0]].astype(int)
+    assert np.abs(futures.sampled_pictures[0, 0].astype(int) - truth - 12.75).max() <= 1
+
+
+def test_a_future_that_the_probe_cannot_read_counts_as_unknown(tiny_evaluation, monkeypatch):
+    monkeypatch.setattr(
+        type(tiny_evaluation.model), "probe_latents", lambda self, latents: torch.full((len(latents),), -1)
+    )
+    futures = futures_of(tiny_evaluation, row_of(tiny_evaluation, 0, 1))
+    assert futures.state_probability == (0.0, 0.0, 0.0, 0.0, 1.0) and futures.sampled_states == (-1,) * 5
+
+
+def test_examples_prefer_unseen_ego_pictures(tiny_evaluation):
+    views = tiny_evaluation.views
+    everything = torch.ones(16, dtype=torch.bool)
+    assert views.camera[example_view(tiny_evaluation, everything)] == 2
+    assert views.camera[example_view(tiny_evaluation, views.camera != 2)] in (0, 1)
+    assert views.camera[example_view(tiny_evaluation, views.camera == 3)] == 3
+    assert example_view(tiny_evaluation, ~everything) is None
+
+
+def test_cameras_shown_are_the_birds_eye_and_the_ego_camera_that_shows_most(tiny_evaluation):
+    assert shown_cameras(tiny_evaluation, [3]) == [3, 1]
+    pixels = tiny_evaluation.table.visible_px.clone()
+    pixels[3, 2] += 50
+    assert shown_cameras(replace(tiny_evaluation, table=replace(tiny_evaluation.table, visible_px=pixels)), [3]) == [
+        3,
+        2,
+    ]
+
+
+def test_both_kinds_are_drawn_or_excused(tiny_evaluation):
+    assert set(evaluate_futures(tiny_evaluation).figures) == {"futures_clear", "futures_occluded"}
+    views = tiny_evaluation.views
+    clear = replace(tiny_evaluation, views=views.select(views.camera != 0))
+    part = evaluate_futures(clear)
+    assert set(part.figures) == {"futures_clear"} and set(part.not_run) == {"futures_occluded"}
+    hidden = replace(tiny_evaluation, views=views.select(views.camera == 0))
+    assert set(evaluate_futures(hidden).not_run) == {"futures_clear"}
+
+
+def test_truth_is_shrunk_to_what_is_rendered(monkeypatch):
+    monkeypatch.setattr(futures_part, "SHOWN_WIDTH", 4)
+    pictures = np.zeros((2, 4, 8, 3), dtype=np.uint8)
+    pictures[:, :, ::2] = 100
+    assert shrunk(pictures).shape == (2, 2, 4, 3) and (shrunk(pictures) == 50).all(), "area means of 0 and 100"
+    assert shrunk(pictures[:, :, :3]) is not None and shrunk(pictures[:, :, :3]).shape == (2, 4, 3, 3)

@@ -1,0 +1,84 @@
+"""Blocked networks against plain layers, and their bank form against one condition at a time."""
+
+import pytest
+import torch
+
+from hashnerf import mlp
+from hashnerf.mlp import MLP
+
+
+def plain(network: MLP, x):
+    """The same network as ordinary matrix products."""
+    for weight in network.weights[:-1]:
+        x = torch.relu(x @ weight.T)
+    return x @ network.weights[-1].T
+
+
+@pytest.mark.parametrize("rows", [0, 1, 7, 8, 9, 30])
+@pytest.mark.parametrize("layers", [1, 2])
+def test_values_and_gradients_against_plain_layers(monkeypatch, rows, layers):
+    monkeypatch.setattr(mlp, "BLOCK", 8)  # several blocks and a remainder
+    network = MLP(5, 16, layers, 3).double()
+    first, second = torch.randn(rows, 2).double().requires_grad_(), torch.randn(rows, 3).double().requires_grad_()
+    leaves = [first, second, *network.parameters()]
+    out = network([first, second])
+    pull = torch.randn_like(out)
+    ours = torch.autograd.grad(out, leaves, pull)
+    slow = plain(network, torch.cat([first, second], dim=1))
+    assert torch.allclose(out, slow)
+    for a, b in zip(ours, torch.autograd.grad(slow, leaves, pull)):
+        assert torch.allclose(a, b)
+
+
+def test_only_parts_that_ask_get_a_gradient():
+    network = MLP(5, 8, 1, 2)
+    fixed, learnt = torch.randn(4, 2), torch.randn(4, 3, requires_grad=True)
+    network([fixed, learnt]).sum().backward()
+    assert fixed.grad is None
+    assert learnt.grad.abs().sum() > 0
+
+
+def test_gradient_check():
+    network = MLP(4, 6, 2, 2).double()
+    x = torch.randn(5, 4).double().requires_grad_()
+    weights = [weight.detach().requires_grad_() for weight in network.weights]
+
+    def run(x, *weights):
+        names = {f"weights.{i}": weight for i, weight in enumerate(weights)}
+        return torch.func.functional_call(network, names, ([x],))
+
+    assert torch.autograd.gradcheck(run, (x, *weights))
+
+
+def test_bfloat16_is_close_and_returns_float32():
+    exact, low = MLP(24, 64, 2, 3), MLP(24, 64, 2, 3, low_precision=True)
+    low.load_state_dict(exact.state_dict())
+    x = torch.randn(5000, 24)
+    assert low([x]).dtype == torch.float32
+    error = (low([x]) - exact([x])).norm() / exact([x]).norm()
+    assert 1e-4 < error < 2e-2
+    pull = torch.randn(5000, 3)
+    ours, truth = (torch.autograd.grad(network([x]), list(network.weights), pull) for network in (low, exact))
+    for a, b in zip(ours, truth):
+        assert a.dtype == torch.float32
+        assert (a - b).norm() / b.norm() < 0.1
+
+
+@pytest.mark.parametrize("low", [False, True])
+def test_an_outer_autocast_changes_nothing(low):
+    network = MLP(6, 16, 2, 3, low)
+    x = torch.randn(9, 6, requires_grad=True)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        inside = network([x])
+    inside.sum().backward()
+    assert torch.equal(inside, network([x]))
+
+
+@pytest.mark.parametrize("bank", [None, 1, 5])
+def test_the_bank_equals_one_condition_at_a_time(bank):
+    network = MLP(4 + (3 if bank else 0), 16, 2, 5)
+    x = torch.randn(11, 4)
+    conditions = torch.randn(bank, 3) if bank else None
+    ours = network.first_output_bank(x, conditions)
+    rows = [network([x])] if bank is None else [network([x, row.expand(11, 3)]) for row in conditions]
+    assert torch.allclose(ours, torch.stack([row[:, 0] for row in rows]), atol=1e-5)
