@@ -39,6 +39,10 @@ class MarchSettings:
     def __post_init__(self):
         if self.candidates < 1:
             raise UserError(f"march.candidates is {self.candidates}: use at least 1")
+        if self.samples < 0:
+            raise UserError(f"march.samples is {self.samples}: use 0 or more")
+        if not 0 < self.samples_per_opacity < math.inf:
+            raise UserError(f"march.samples_per_opacity is {self.samples_per_opacity}: use a positive number")
         if not 0 < self.even_distance < math.inf:
             raise UserError(f"march.even_distance is {self.even_distance}: use a positive number of metres")
         if not 0 <= self.near < math.inf:
@@ -63,8 +67,8 @@ def intervals(
     count, c = settings.candidates, settings.even_distance
     steps = torch.arange(count, device=near.device, dtype=near.dtype)
     scale = (near + c)[:, None]
-    growth = (torch.log(far + c)[:, None] - torch.log(scale)) / count
-    # expm1 of differences, not differences of exp: far from the camera short intervals would drown in rounding
+    # log1p and expm1 of small numbers, not differences of log and exp: short intervals would drown in rounding
+    growth = torch.log1p((far - near)[:, None] / scale) / count
     start = near[:, None] + scale * torch.expm1(steps * growth)
     return start, scale * torch.exp(steps * growth) * torch.expm1(growth)
 

@@ -1,0 +1,162 @@
+"""Rendering of analytic scenes: against closed forms, against dense marching, in chunks, and with nothing to see."""
+
+import math
+
+import pytest
+import torch
+
+from hashnerf.cameras import Cameras, look_at
+from hashnerf.marching import MarchSettings
+from hashnerf.occupancy import OccupancyConfig, OccupancyGrid
+from hashnerf.rays import Rays, unit_directions
+from hashnerf.render import render, render_image
+
+BOX = torch.tensor([[-4.0, -4.0, 0.0], [4.0, 4.0, 4.0]])
+EVERY = MarchSettings(candidates=256, samples=0)
+
+
+def grid_of(density, cell=0.25, updates=40):
+    grid = OccupancyGrid(OccupancyConfig(cell=cell, warmup=1, turns=1), BOX)
+    for _ in range(updates):
+        grid.update(lambda positions: density(positions)[None])
+    return grid
+
+
+def field_of(density):
+    """Colour by place, so that a wrong place shows."""
+    return lambda x, d, ray: (density(x), (x / 8 + 0.5).clamp(0, 1))
+
+
+def nothing(positions):
+    return torch.zeros(len(positions))
+
+
+def box_scene(positions):
+    return torch.where((positions.abs() < 1).all(dim=1), 20.0, 0.0)
+
+
+def pole_scene(positions):
+    return torch.where((positions[:, :2] - 0.13).norm(dim=1) < 0.1, 40.0, 0.0)
+
+
+def camera(size=24):
+    return Cameras(
+        pose=look_at(torch.tensor([6.0, 3.0, 3.0]), torch.tensor([0.0, 0.0, 1.0]))[None].float(),
+        focal=torch.full((1, 2), size * 1.2),
+        centre=torch.full((1, 2), size / 2),
+        distortion=torch.zeros(1, 4),
+        width=size,
+        height=size,
+    )
+
+
+def test_even_fog_against_the_closed_form():
+    grid = grid_of(lambda p: torch.full((len(p),), 0.3))
+    rays = Rays(torch.tensor([[-9.0, 0.0, 2.0]]), torch.tensor([[1.0, 0.0, 0.0]]))
+    seen = render(rays, lambda x, d, i: (torch.full((len(x),), 0.3), torch.ones(len(x), 3)), grid, EVERY)
+    # 8 m of fog of 0.3/m: opacity 1 - exp(-2.4); median where exp(-0.3 s) = 1/2, s = 2.31 m behind the entry at 5 m
+    assert seen.opacity.item() == pytest.approx(1 - math.exp(-2.4), rel=1e-4)
+    assert seen.rgb[0, 0].item() == pytest.approx(1 - math.exp(-2.4), rel=1e-4)
+    assert seen.median_depth.item() == pytest.approx(5 + math.log(2) / 0.3, abs=0.04)
+    # mean depth: 5 + 1/0.3 - 8 exp(-2.4) / (1 - exp(-2.4))
+    mean = 5 + 1 / 0.3 - 8 * math.exp(-2.4) / (1 - math.exp(-2.4))
+    assert seen.depth.item() == pytest.approx(mean, abs=0.02)
+    assert seen.depth_valid.item()
+
+
+@pytest.mark.parametrize("scene", [nothing, box_scene, pole_scene])
+def test_skipping_equals_dense_marching(scene):
+    dense = OccupancyGrid(OccupancyConfig(cell=0.25, warmup=10_000), BOX)
+    skipped = grid_of(scene, updates=80)
+    background = torch.full((3,), 0.3)
+    pictures = [
+        render_image(camera(), 0, field_of(scene), grid, EVERY, lambda d: background.expand(len(d), 3))
+        for grid in (dense, skipped)
+    ]
+    difference = (pictures[0].rgb - pictures[1].rgb).abs()
+    assert difference.mean() <= 2e-3
+    mse = difference.square().mean().item()
+    assert mse == 0 or -10 * math.log10(mse) >= 45
+    if scene is not nothing:  # an empty grid falls back to sampling everything
+        assert pictures[1].samples_evaluated < 0.2 * pictures[0].samples_evaluated
+        assert pictures[1].opacity.max() > 0.99
+
+
+@pytest.mark.parametrize("scene", [box_scene, pole_scene])
+def test_resampled_rendering_is_close_to_dense_marching(scene):
+    grid = grid_of(scene, updates=80)
+    dense = render_image(camera(), 0, field_of(scene), grid, EVERY)
+    few = render_image(camera(), 0, field_of(scene), grid, MarchSettings(candidates=256, samples=48))
+    assert (dense.rgb - few.rgb).square().mean() < 2e-3
+    assert (dense.depth_valid == few.depth_valid).float().mean() > 0.97
+
+
+def test_rays_that_meet_nothing():
+    rays = Rays(torch.tensor([[0.0, 0.0, 9.0], [0.0, 0.0, 9.0]]), torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]))
+    weight = torch.tensor(2.0, requires_grad=True)
+
+    def field_fn(x, d, ray):
+        return weight * torch.ones(len(x)), weight * torch.ones(len(x), 3) / 4
+
+    grid = OccupancyGrid(OccupancyConfig(cell=1.0), BOX)
+    sky = torch.tensor([[0.1, 0.2, 0.3]])
+    seen = render(rays, field_fn, grid, EVERY, lambda d: sky.expand(len(d), 3))
+    assert torch.equal(seen.rgb[0], sky[0])
+    assert seen.opacity[0] == 0
+    assert seen.depth_valid.tolist() == [False, True]
+    alone = render(rays.select(slice(0, 1)), field_fn, grid, EVERY, lambda d: sky.expand(len(d), 3))
+    assert alone.samples_evaluated == 0
+    alone.rgb.sum().backward()
+    assert weight.grad == 0, "a step without samples must still give every parameter a gradient"
+
+
+def test_no_rays():
+    seen = render(Rays(torch.zeros(0, 3), torch.zeros(0, 3)), field_of(nothing), grid_of(nothing, updates=1), EVERY)
+    assert seen.rgb.shape == (0, 3)
+
+
+def test_the_field_sees_the_right_ray():
+    rays = Rays(torch.randn(40, 3) + torch.tensor([0.0, 0.0, 2.0]), unit_directions(torch.randn(40, 3)))
+
+    def field_fn(x, d, ray):
+        along = ((x - rays.origins[ray]) * d).sum(dim=1, keepdim=True)
+        assert torch.equal(d, rays.directions[ray])
+        assert torch.allclose(rays.origins[ray] + along * d, x, atol=1e-4)
+        assert (ray.diff() >= 0).all()
+        return torch.ones(len(x)), torch.ones(len(x), 3)
+
+    for settings in (EVERY, MarchSettings()):
+        render(rays, field_fn, OccupancyGrid(OccupancyConfig(cell=1.0), BOX), settings, None, torch.Generator())
+
+
+def test_chunks_do_not_change_the_picture(monkeypatch):
+    grid = grid_of(box_scene)
+    whole = render_image(camera(), 0, field_of(box_scene), grid, EVERY)
+    monkeypatch.setattr("hashnerf.render.SAMPLES_AT_ONCE", 100)
+    pieces = render_image(camera(), 0, field_of(box_scene), grid, EVERY, rays_at_once=77)
+    assert torch.allclose(whole.rgb, pieces.rgb, atol=1e-6)
+    assert torch.equal(whole.depth_valid, pieces.depth_valid)
+    assert whole.samples_evaluated == pieces.samples_evaluated
+    assert whole.rgb.shape == (24 * 24, 3)
+
+
+def test_depth_is_the_distance_along_the_ray():
+    grid = grid_of(box_scene)
+    rays = Rays(torch.tensor([[-3.5, 0.0, 0.5]]), unit_directions(torch.tensor([[1.0, 0.1, 0.0]])))
+    seen = render(rays, field_of(box_scene), grid, EVERY)
+    # the box starts at x = -1: 2.5 m ahead, 2.5 * sqrt(1.01) along the ray; density 20/m adds a mean of 1/20 m
+    assert seen.depth.item() == pytest.approx(2.5 * math.sqrt(1.01) + 0.05, abs=0.03)
+
+
+def test_an_enormous_density_shows_the_first_surface_and_finite_gradients():
+    density = torch.tensor(3.27e6, requires_grad=True)
+    rays = Rays(torch.tensor([[-9.0, 0.0, 0.5]]), torch.tensor([[1.0, 0.0, 0.0]]))
+    seen = render(
+        rays,
+        lambda x, d, i: (density.expand(len(x)), (x[:, :1] / 8 + 0.5).expand(-1, 3)),
+        grid_of(box_scene, updates=1),
+        EVERY,
+    )
+    assert seen.opacity == 1
+    seen.rgb.sum().backward()
+    assert density.grad.isfinite()
