@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import UInt8
 from torch import Tensor
 
 from carff.closed_loop_file import ClosedLoop, save_closed_loop
@@ -39,6 +38,7 @@ from worlds.scenarios import world_from_description
 from worlds.scene import Scene, World, ego_camera
 
 Policy = Callable[[list[Drive]], list[bool]]
+Look = Callable[[list[Drive]], Tensor]
 
 
 @dataclass(frozen=True)
@@ -57,22 +57,19 @@ class Camera:
 
 
 class SeeingPolicy:
-    """Decides from the ego camera's picture: encode, forecast n futures, probe, apply the planner's rule."""
+    """Decides from the ego camera's picture: encode, forecast n futures, probe, apply the planner's rule.
 
-    def __init__(
-        self, model: CarffModel, camera: Camera, planner: PlannerConfig, n: int, seed: int, pool: ProcessPoolExecutor
-    ):
-        self.model, self.camera, self.planner, self.n, self.pool = model, camera, planner, n, pool
+    `look` renders what the cameras of some drives see, [drives, h, w, 3].
+    """
+
+    def __init__(self, model: CarffModel, look: Look, planner: PlannerConfig, n: int, seed: int):
+        self.model, self.look, self.planner, self.n = model, look, planner, n
         self.generator = torch.Generator().manual_seed(seed)
 
     def __call__(self, drives: list[Drive]) -> list[bool]:
         """Returns go or stop for each drive."""
-        pictures = list(self.pool.map(self.camera.picture, drives, chunksize=4))
-        return self.decide(torch.from_numpy(np.stack(pictures)))
-
-    def decide(self, pictures: UInt8[Tensor, "images h w 3"]) -> list[bool]:
-        """Returns go or stop for each picture."""
-        return [one.go for one in decide_from_pictures(self.model, pictures, self.planner, self.n, self.generator)]
+        decisions = decide_from_pictures(self.model, self.look(drives), self.planner, self.n, self.generator)
+        return [one.go for one in decisions]
 
 
 def drive_episodes(world: World, policy: Policy, setups: list, config: DrivingConfig) -> tuple[list[Drive], list[int]]:
@@ -110,10 +107,13 @@ def closed_loop(
     runs = {name: drive_episodes(world, policy, setups, config) for name, policy in blind.items()}
     # A fresh interpreter per worker: forking a process whose tensor threads are running can hang.
     with ProcessPoolExecutor(workers, get_context("spawn"), _start_worker) as pool:
+
+        def look(drives: list[Drive]) -> Tensor:
+            return torch.from_numpy(np.stack(list(pool.map(camera.picture, drives))))
+
         for rule in ("risk", "paper"):
             planner = replace(model.config.planner, rule=rule)
-            policy = SeeingPolicy(model, camera, planner, n, seed, pool)
-            runs[rule] = drive_episodes(world, policy, setups, config)
+            runs[rule] = drive_episodes(world, SeeingPolicy(model, look, planner, n, seed), setups, config)
     return compared(runs)
 
 

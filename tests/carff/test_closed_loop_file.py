@@ -31,5 +31,5 @@ def test_a_missing_file_names_the_command(tmp_path):
 @pytest.mark.parametrize("text", ["{}", '{"about": {}, "reason": "", "episodes": [{"policy": "risk"}]}', "not json"])
 def test_a_foreign_file_is_refused(tmp_path, text):
     (tmp_path / CLOSED_LOOP).write_text(text)
-    with pytest.raises(UserError, match="closed_loop.json"):
+    with pytest.raises(UserError, match="closed_loop"):
         load_closed_loop(tmp_path)

@@ -125,5 +125,5 @@ def test_other_data_than_the_run_learned_is_refused(tiny_evaluation, monkeypatch
 
     small = replace(data, images=data.images[:, ::2, ::2], cameras=data.cameras.scaled(16, 16))
     monkeypatch.setattr(evaluation_data, "load_posed_images", lambda folder, size: small)
-    with pytest.raises(UserError, match="image_size.*32 x 32 pixels, not 16 x 16"):
+    with pytest.raises(UserError, match=r"image_size.*32 x 32 pixels, not 16 x 16"):
         load_evaluation_data(tiny_evaluation.config)
