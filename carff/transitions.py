@@ -21,7 +21,9 @@ class TransitionConfig:
     """Which pairs of views the forecast learns from."""
 
     neighbours: int = 8
-    """Cameras nearest to the source camera, itself included, from which the next state may be seen."""
+    """Cameras nearest to the source camera, itself included, from which the next state may be seen (paper: 8)."""
+    clear_neighbours: float = 8.0
+    """The neighbourhood grows beyond `neighbours` until the distinctness of its cameras adds up to this."""
     distinctness_floor: float = 0.001
     """Added to each camera's distinctness, so that no camera is left out for good."""
     noise_low: float = 0.001
@@ -34,6 +36,8 @@ class TransitionConfig:
     def __post_init__(self):
         if self.neighbours < 1:
             raise UserError(f"transitions.neighbours is {self.neighbours}; give at least 1 (the camera itself)")
+        if self.clear_neighbours < 0:
+            raise UserError(f"transitions.clear_neighbours is {self.clear_neighbours}; give 0 or more")
         if self.samples < 1:
             raise UserError(f"transitions.samples is {self.samples}; give at least 1")
         if not 0 <= self.noise_low <= self.noise_high:
@@ -83,19 +87,17 @@ def camera_distances(poses: Float[Tensor, "cameras 4 4"]) -> Float[Tensor, "came
 
 
 def camera_neighbours(
-    poses: Float[Tensor, "cameras 4 4"], count: int, usable: Bool[Tensor, " cameras"] | None = None
-) -> Int[Tensor, "cameras m"]:
-    """Returns for each camera itself and its nearest others, nearest first, at most `count` in all; ties by number.
+    poses: Float[Tensor, "cameras 4 4"], usable: Bool[Tensor, " cameras"] | None = None
+) -> Int[Tensor, "cameras cameras"]:
+    """Returns for each camera itself and then all others, nearest first, ties by number.
 
     Cameras that are not `usable` (held out) come last, so that they take no usable camera's place.
     """
-    if count < 1:
-        raise UserError(f"transitions.neighbours is {count}; give at least 1 (the camera itself)")
     distances = camera_distances(poses)
     distances.fill_diagonal_(-1.0)  # a second camera at the same pose must not displace the camera itself
     if usable is not None:
         distances[:, ~usable] = torch.inf
-    return distances.argsort(dim=1, stable=True)[:, :count]
+    return distances.argsort(dim=1, stable=True)
 
 
 class TransitionSampler:
@@ -113,11 +115,9 @@ class TransitionSampler:
         require_latents(beliefs.means[beliefs.valid], "means of the encoded views")
         require_latents(beliefs.logvars[beliefs.valid], "log-variances of the encoded views")
         self.beliefs, self.successor, self.config, self.seed = beliefs, successor, config, seed
-        self.neighbours = camera_neighbours(poses, config.neighbours, beliefs.valid.any(dim=0))
+        self.neighbours = camera_neighbours(poses, beliefs.valid.any(dim=0))
         distinctness = view_distinctness(beliefs.means, beliefs.logvars, beliefs.valid)
-        self.sources, self.log_probability = _pairs(
-            beliefs.valid, distinctness, successor, self.neighbours, config.distinctness_floor
-        )
+        self.sources, self.log_probability = _pairs(beliefs.valid, distinctness, successor, self.neighbours, config)
 
     def batch(self, step: int, size: int) -> TransitionBatch:
         """Returns the `size` pairs of a training step, with noise on the source beliefs."""
@@ -148,16 +148,19 @@ def _pairs(
     valid: Bool[Tensor, "states cameras"],
     distinctness: Float[Tensor, "states cameras"],
     successor: Int[Tensor, " states"],
-    neighbours: Int[Tensor, "cameras m"],
-    floor: float,
-) -> tuple[Int[Tensor, "sources 2"], Float[Tensor, "sources m"]]:
+    neighbours: Int[Tensor, "cameras cameras"],
+    config: TransitionConfig,
+) -> tuple[Int[Tensor, "sources 2"], Float[Tensor, "sources cameras"]]:
     """Returns (state, camera) of every usable source view and the log-probability of each neighbour as its target."""
     usable = valid & (successor >= 0)[:, None]
     sources = usable.nonzero()
     after = successor[sources[:, 0]][:, None]
     around = neighbours[sources[:, 1]]
-    seen = valid[after, around]
-    weight = (distinctness[after, around] + floor) * seen
+    clear = distinctness[after, around]
+    # Where everything near by is occluded too, only cameras further away can say what the next state may be.
+    near = torch.arange(len(neighbours)) < config.neighbours
+    seen = valid[after, around] & (near | (clear.cumsum(dim=1) - clear < config.clear_neighbours))
+    weight = (clear + config.distinctness_floor) * seen
     weight = torch.where(weight.sum(dim=1, keepdim=True) > 0, weight, seen.to(weight.dtype))
     keep = seen.any(dim=1)
     if not keep.any():

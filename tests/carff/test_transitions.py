@@ -48,13 +48,13 @@ def test_distances_are_symmetric_and_their_order_ignores_the_scale_of_the_world(
     scaled = poses.clone()
     scaled[:, :3, 3] *= 40
     assert torch.allclose(camera_distances(poses), camera_distances(poses).T)
-    assert torch.equal(camera_neighbours(poses, 5), camera_neighbours(scaled, 5))
+    assert torch.equal(camera_neighbours(poses), camera_neighbours(scaled))
 
 
 def test_neighbours_go_round_the_ring_and_do_not_depend_on_numbering():
     order = [3, 0, 4, 1, 5, 2]
     poses = ring([place * math.pi / 3 for place in order])
-    for camera, row in enumerate(camera_neighbours(poses, 3).tolist()):
+    for camera, row in enumerate(camera_neighbours(poses)[:, :3].tolist()):
         assert row[0] == camera
         places = {order[other] for other in row}
         assert places == {order[camera], (order[camera] + 1) % 6, (order[camera] - 1) % 6}
@@ -63,7 +63,7 @@ def test_neighbours_go_round_the_ring_and_do_not_depend_on_numbering():
 def test_a_line_of_cameras_does_not_wrap():
     poses = torch.eye(4).repeat(5, 1, 1)
     poses[:, 0, 3] = torch.arange(5.0)
-    assert camera_neighbours(poses, 3).tolist() == [[0, 1, 2], [1, 0, 2], [2, 1, 3], [3, 2, 4], [4, 3, 2]]
+    assert camera_neighbours(poses)[:, :3].tolist() == [[0, 1, 2], [1, 0, 2], [2, 1, 3], [3, 2, 4], [4, 3, 2]]
 
 
 def test_the_direction_of_view_counts():
@@ -71,26 +71,20 @@ def test_the_direction_of_view_counts():
     poses = torch.eye(4).repeat(4, 1, 1)
     poses[1, :3, :3] = torch.diag(torch.tensor([-1.0, 1.0, -1.0]))
     poses[2, 0, 3], poses[3, 0, 3] = 3.0, 9.0
-    assert camera_neighbours(poses, 2)[0].tolist() == [0, 2]
+    assert camera_neighbours(poses)[0].tolist() == [0, 2, 3, 1]
 
 
 def test_cameras_at_one_place_are_ordered_by_angle_and_each_is_its_own_first():
     poses = ring([0.0, 2.0, 0.5, 0.0], radius=0.0)
-    neighbours = camera_neighbours(poses, 3).tolist()
-    assert neighbours[0] == [0, 3, 2] and neighbours[3] == [3, 0, 2]
+    neighbours = camera_neighbours(poses).tolist()
+    assert neighbours[0] == [0, 3, 2, 1] and neighbours[3] == [3, 0, 2, 1]
 
 
 def test_held_out_cameras_take_no_place():
     poses = torch.eye(4).repeat(4, 1, 1)
     poses[:, 0, 3] = torch.arange(4.0)
     usable = torch.tensor([True, False, True, True])
-    assert camera_neighbours(poses, 2, usable)[0].tolist() == [0, 2]
-
-
-def test_more_neighbours_than_cameras_are_all_cameras():
-    assert camera_neighbours(ring([0.0, 1.0]), 8).shape == (2, 2)
-    with pytest.raises(UserError, match="neighbours is 0"):
-        camera_neighbours(ring([0.0]), 0)
+    assert camera_neighbours(poses, usable)[0].tolist() == [0, 2, 3, 1]
 
 
 # --- pairs ---
@@ -149,9 +143,29 @@ def test_draws_follow_distinctness():
 def test_where_no_camera_tells_all_are_drawn_alike():
     # States 1 and 3 look the same from cameras 0 and 1; camera 2 is too far to be a neighbour of theirs.
     means = [[0.0, 0.0, 9.0], [5.0, 6.0, 1.0], [0.0, 0.0, 9.0], [5.0, 6.0, 2.0]]
-    config = TransitionConfig(neighbours=2, distinctness_floor=0.0)
+    config = TransitionConfig(neighbours=2, clear_neighbours=0.0, distinctness_floor=0.0)
     sampler = TransitionSampler(views(means), torch.tensor([1, -1, 3, -1]), ring([0.0, 0.1, 3.0]), config, 0)
-    torch.testing.assert_close(sampler.log_probability[0].exp(), torch.tensor([0.5, 0.5]))
+    torch.testing.assert_close(sampler.log_probability[0].exp(), torch.tensor([0.5, 0.5, 0.0]))
+
+
+def test_the_neighbourhood_grows_until_it_sees_the_next_state():
+    # On a line of six cameras the next states look alike from 0, 1, 2 and differ from 3, 4, 5.
+    means = [[0.0] * 6, [5.0, 5.0, 5.0, 7.0, 7.0, 7.0], [0.0] * 6, [5.0, 5.0, 5.0, 9.0, 9.0, 9.0]]
+    poses = torch.eye(4).repeat(6, 1, 1)
+    poses[:, 0, 3] = torch.arange(6.0)
+
+    def probability(camera: int, clear_neighbours: float) -> list[float]:
+        config = TransitionConfig(neighbours=2, clear_neighbours=clear_neighbours, distinctness_floor=0.0)
+        sampler = TransitionSampler(views(means), torch.tensor([1, -1, 3, -1]), poses, config, 0)
+        by_camera = torch.zeros(6)
+        by_camera[sampler.neighbours[camera]] = sampler.log_probability[camera].exp()
+        return by_camera.tolist()
+
+    # Overlap exp(-4 e^4 / 8) is nearly 0, so each clear camera counts 1.
+    assert probability(0, 2.0) == pytest.approx([0, 0, 0, 0.5, 0.5, 0], abs=1e-6)
+    assert probability(0, 0.0) == pytest.approx([0.5, 0.5, 0, 0, 0, 0])
+    # From camera 4 the two nearest (itself and 3) suffice.
+    assert probability(4, 2.0) == pytest.approx([0, 0, 0, 0.5, 0.5, 0], abs=1e-6)
 
 
 def test_missing_views_are_neither_source_nor_target():
@@ -230,7 +244,14 @@ def test_beliefs_that_are_not_usable_are_refused(bad):
 
 @pytest.mark.parametrize(
     "change",
-    [{"neighbours": 0}, {"samples": 0}, {"noise_low": 0.1}, {"noise_low": -0.1}, {"distinctness_floor": -1.0}],
+    [
+        {"neighbours": 0},
+        {"clear_neighbours": -1.0},
+        {"samples": 0},
+        {"noise_low": 0.1},
+        {"noise_low": -0.1},
+        {"distinctness_floor": -1.0},
+    ],
 )
 def test_impossible_settings_are_refused_by_name(change):
     with pytest.raises(UserError, match=rf"transitions\.{next(iter(change))}"):
