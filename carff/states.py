@@ -64,7 +64,7 @@ class StateTable:
         if split is None:
             return self.views
         inside = torch.tensor([name == split for name in self.frame_splits])
-        return torch.where((self.views >= 0) & inside[self.views], self.views, -1)
+        return torch.where(inside[self.views], self.views, -1)  # a missing view stays -1 whatever row -1 says
 
     def transitions(self) -> Int[Tensor, "pairs 2"]:
         """Returns (state, next state) of every step forward; raises UserError if no branch has two steps."""

@@ -154,13 +154,14 @@ def test_components_are_drawn_with_their_weights(weights):
 
 
 def test_extreme_uniform_numbers_choose_a_live_component():
-    # Cumulated float32 weights (0.25, 0.99999988) end below a uniform 0.99999994: a search would return component 2.
-    log_weights = torch.tensor([[0.25, 0.74999988, 0.0]]).log()
+    # Cumulated float32 weights (0.25, 0.99999988) end below a uniform 0.99999994: a search would run off the end.
+    # The dead component comes first, where an argmax over nothing but -inf would find it.
+    log_weights = torch.tensor([[0.0, 0.25, 0.74999988]]).log()
     extremes = [0.0, 2.0**-24, 0.5, 0.99999994]
     uniform = torch.tensor(list(itertools.product(extremes, repeat=3)))[None]
     chosen = choose_component(log_weights, uniform)
-    assert ((chosen == 0) | (chosen == 1)).all()
-    assert (chosen == 0).any() and (chosen == 1).any()
+    assert ((chosen == 1) | (chosen == 2)).all()
+    assert (chosen == 1).any() and (chosen == 2).any()
 
 
 def test_sample_moments_and_repetition():
