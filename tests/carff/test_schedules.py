@@ -46,3 +46,8 @@ def test_the_cosine_by_hand():
 def test_an_empty_schedule_is_refused():
     with pytest.raises(UserError, match="0 steps"):
         cosine_rate(0, 0, 1.0, 0.1)
+
+
+def test_the_warm_up_rises_in_equal_parts():
+    # Without the cosine's fall (initial = final = 1): 1/4, 2/4, 3/4, 1, 1.
+    assert [cosine_rate(step, 100, 1.0, 1.0, warm_up=4) for step in range(5)] == pytest.approx([0.25, 0.5, 0.75, 1, 1])
