@@ -25,7 +25,6 @@ from carff.driving import (
     actor_poses,
     advance,
     begin,
-    can_stop,
     draw_setup,
     going_is_safe,
     stop_matters,
@@ -82,10 +81,7 @@ def drive_episodes(world: World, policy: Policy, setups: list, config: DrivingCo
             for i, command in zip(open_, policy([drives[i] for i in open_]) if open_ else []):
                 go[i] = command
                 decisions[i] += 1
-        drives = [
-            d if d.over else advance(world, d, go[i] or not can_stop(world, d, config), config)
-            for i, d in enumerate(drives)
-        ]
+        drives = [d if d.over else advance(world, d, go[i], config) for i, d in enumerate(drives)]
         if all(drive.over for drive in drives):
             break
     return drives, decisions

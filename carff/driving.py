@@ -136,10 +136,10 @@ def hardest_stop(speed: float, config: DrivingConfig) -> float:
 
 
 def advance(world: World, drive: Drive, go: bool, config: DrivingConfig) -> Drive:
-    """Returns the moment one tick later."""
-    nominal = drive.setup.speed["ego"]
-    target = nominal
-    if not go and can_stop(world, drive, config):
+    """Returns the moment one tick later; an ego that cannot stop any more goes, whatever the command."""
+    go = go or not can_stop(world, drive, config)
+    target = nominal = drive.setup.speed["ego"]
+    if not go:
         target = min(nominal, stopping_speed(world.traffic.stop - drive.s, config))
     change = target - drive.speed
     change = min(max(change, -config.hardest_braking * config.tick), config.acceleration * config.tick)

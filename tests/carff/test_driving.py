@@ -43,10 +43,10 @@ def setup(branch: int, config: DrivingConfig = NOMINAL, seed: int = 0) -> Setup:
 
 
 def driven(start: Drive, command, config: DrivingConfig = NOMINAL) -> Drive:
-    """Drives to the end; `command` says go or stop at every tick, and a committed ego goes on, as in an episode."""
+    """Drives to the end; `command` says go or stop at every tick."""
     drive = start
     while not drive.over and drive.time < config.longest:
-        drive = advance(WORLD, drive, command(drive) or not can_stop(WORLD, drive, config), config)
+        drive = advance(WORLD, drive, command(drive), config)
     return drive
 
 
@@ -100,6 +100,14 @@ def test_who_can_stop_and_is_told_to_stands_before_the_line(seed, stop_from):
         assert STOP - 0.02 < end.s <= STOP + 1e-6
 
 
+def test_a_committed_ego_leaves_the_spot_however_gently_it_accelerates():
+    gentle = replace(NOMINAL, acceleration=0.2)  # 0.01 m/s a tick, less than what counts as standing
+    drive = Drive(setup(0), time=0.0, s=STOP + 1.0, speed=0.0)
+    for _ in range(20):
+        drive = advance(WORLD, drive, False, gentle)
+    assert drive.speed == pytest.approx(0.2)
+
+
 def test_past_the_point_of_no_return_the_ego_drives_on():
     start = Drive(setup(0), time=0.0, s=STOP - 3.0, speed=8.0)
     assert not can_stop(WORLD, start, NOMINAL), "8 m/s needs 64 / 12 - 0.2 = 5.1 m"
@@ -140,13 +148,15 @@ def test_the_oracle_never_collides_and_always_crosses(seed):
     assert end.setup.branch == 1 or not end.stood, "nothing to wait for without the truck"
 
 
-@given(s=st.floats(20.0, 50.0), time=st.floats(0.0, 8.0))
-def test_touching_agrees_with_the_boxes(s, time):
-    present = setup(1)
-    ego = box_at(WORLD.traffic.routes["ego"].pose(s), WORLD.actors["ego"].size)
-    truck = box_at(actor_poses(WORLD, present, time)["truck"], WORLD.actors["truck"].size)
-    assert touches(WORLD, present, s, time) == ego.overlaps(truck)
-    assert not touches(WORLD, setup(0), s, time)
+def test_touching_agrees_with_the_boxes_everywhere_around_the_conflict_zone():
+    present, contacts = setup(1), 0
+    for s in np.arange(31.0, 42.0, 0.25):
+        for time in np.arange(1.5, 5.0, 0.1):
+            ego = box_at(WORLD.traffic.routes["ego"].pose(s), WORLD.actors["ego"].size)
+            truck = box_at(actor_poses(WORLD, present, time)["truck"], WORLD.actors["truck"].size)
+            assert touches(WORLD, present, float(s), float(time)) == ego.overlaps(truck)
+            contacts += ego.overlaps(truck)
+    assert contacts > 100 and not touches(WORLD, setup(0), 36.0, 3.0)
 
 
 @given(s=st.floats(11.0, 28.0), speed=st.floats(0.0, 8.0))

@@ -17,6 +17,7 @@ from carff.evaluate_beliefs import (
     reconstruction_scores,
     svm_scores,
 )
+from carff.latent_metrics import svm_accuracy
 
 
 def test_ceilings_count_what_the_pixels_allow(tiny_evaluation):
@@ -34,6 +35,19 @@ def test_scores_of_a_run_that_knows_everything(tiny_evaluation):
     assert scores["svm_heldout"] == scores["svm_visible_heldout"] == 1.0
     # at most one of two equal pictures can be named
     assert 8 / 12 <= scores["svm_all"] <= 10 / 12
+
+
+def test_equal_pictures_are_kept_in_one_fold(tiny_evaluation, monkeypatch):
+    given = {}
+
+    def recorded(latents, labels, groups):
+        given.update(groups=groups)
+        return svm_accuracy(latents, labels, groups)
+
+    monkeypatch.setattr("carff.evaluate_beliefs.svm_accuracy", recorded)
+    svm_scores(tiny_evaluation)
+    train = tiny_evaluation.views.select(tiny_evaluation.views.train)
+    assert (given["groups"] == train.picture.numpy()).all()
 
 
 def test_scores_see_a_belief_that_says_nothing(tiny_evaluation):

@@ -70,5 +70,11 @@ def test_whole_processes_that_were_timed_count_instead(tiny_evaluation):
     assert [stage["name"] for stage in results["stages"]] == ["data set", "PC-VAE", "evaluation"]
 
 
+def test_an_earlier_evaluation_alone_is_no_timing_of_the_stages(tiny_evaluation):
+    timed = {"evaluation": {"seconds": 99.0, "peak_memory_mb": 3.0}}
+    (tiny_evaluation.config.folder / "timings.json").write_text(json.dumps({"stages": timed}))
+    assert evaluate_costs(tiny_evaluation, 2.0).results["seconds_total"] == 6.5
+
+
 def test_memory_is_in_megabytes():
     assert 50 < peak_memory_mb() < 100_000

@@ -69,14 +69,16 @@ def test_visibility_that_nobody_states_is_unstated_in_every_branch(tiny_data):
 
 def test_the_main_actor_is_the_one_that_tells_branches_apart(tiny_data, tiny_table):
     assert main_actor(tiny_table) == "truck"
-    # The lead car moves a lot, but alike in both branches; the truck stands still, but in one branch only.
+    # The lead car moves, but alike in both branches; this truck is there at the last step of one branch only. Pairs of
+    # different steps would count two for either car.
     lead = [
         {"branch": b, "step": s, "center": [3.0 * s, 0.0, 0.5], "size": [1.0, 1.0, 1.0], "yaw": 0.0}
         for b in range(2)
         for s in range(2)
     ]
-    actors = {"lead": lead, **tiny_data.extras["actors"]}
-    assert main_actor(build_state_table(replace(tiny_data, extras={**tiny_data.extras, "actors": actors}))) == "truck"
+    actors = {**tiny_data.extras["actors"], "lead": lead, "truck": tiny_data.extras["actors"]["truck"][1:]}
+    extras = {**tiny_data.extras, "actors": actors, "visibility": {}}
+    assert main_actor(build_state_table(replace(tiny_data, extras=extras))) == "truck"
     only_ego = {"ego": tiny_data.extras["actors"]["ego"]}
     extras = {**tiny_data.extras, "actors": only_ego, "visibility": {}}
     alone = build_state_table(replace(tiny_data, extras=extras))
