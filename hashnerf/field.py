@@ -44,7 +44,7 @@ class FieldConfig:
     """Numbers the density network hands to the colour network."""
     direction_degree: int = 3
     """Bands of spherical harmonics of the viewing direction, 1 (none of it matters) to 4."""
-    initial_thickness: float = 10.0
+    initial_thickness: float = 3.0
     """Optical thickness of the box along its longest side before training."""
     mlp_dtype: Literal["float32", "bfloat16"] = "float32"
     """Arithmetic of the networks; everything else stays float32."""

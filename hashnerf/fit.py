@@ -31,19 +31,19 @@ from hashnerf.weight_average import WeightAverage
 class FitConfig:
     """How a radiance field is trained."""
 
-    learning_rate: float = 0.01
+    learning_rate: float = 0.02
     """Adam's step at the start."""
-    final_learning_rate: float = 0.001
+    final_learning_rate: float = 0.002
     """Adam's step at the end, reached exponentially."""
     loss: Literal["mse", "huber"] = "huber"
     """Colour error: squared, or squared up to 0.1 and linear beyond."""
     average_decay: float = 0.95
     """Decay of the moving average of the weights that is used for rendering."""
-    rays: int = 4096
+    rays: int = 2048
     """Rays of the first step."""
     most_rays: int = 16384
     """Most rays of a step."""
-    batch_samples: int = 1 << 16
+    batch_samples: int = 1 << 15
     """Samples a step should have: the number of rays adapts to it."""
     occupancy_every: int = 16
     """Steps between updates of the occupancy grid."""
@@ -89,7 +89,7 @@ class _Loss(nn.Module):
         self.field, self.loss = field, loss
 
     def forward(
-        self, batch: RayBatch, occupancy: OccupancyGrid, settings: MarchSettings, generator: torch.Generator
+        self, batch: RayBatch, occupancy: OccupancyGrid, settings: MarchSettings, generator: torch.Generator | None
     ) -> tuple[Tensor, Tensor, int]:
         """Return the loss, the mean squared error per channel and the samples evaluated."""
         seen = render_batch(self.field, batch, occupancy, settings, generator)
@@ -137,12 +137,14 @@ class FieldFit:
         total_steps: int,
         fabric: Fabric | None = None,
     ):
-        self.field, self.occupancy, self.config, self.settings = field, occupancy, config, settings
-        self.total_steps, self.fabric = total_steps, fabric or Fabric(accelerator="cpu", devices=1)
-        fused = next(field.parameters()).device.type in ("cpu", "cuda")
-        optimizer = torch.optim.Adam(field.parameters(), config.learning_rate, (0.9, 0.99), eps=1e-15, fused=fused)
-        self.average = WeightAverage(field, config.average_decay)
+        if any(p.dtype in (torch.float16, torch.bfloat16) for p in field.parameters()):
+            raise ValueError("the field's weights are in half precision: Adam needs float32 weights")
+        self.config, self.settings, self.total_steps = config, settings, total_steps
+        self.fabric = fabric or Fabric(accelerator="cpu", devices=1)
+        self.field, self.occupancy = field, occupancy.to(self.fabric.device)
+        optimizer = torch.optim.Adam(field.parameters(), config.learning_rate, (0.9, 0.99), eps=1e-15, fused=True)
         self.loss, self.optimizer = self.fabric.setup(_Loss(field, config.loss), optimizer)
+        self.average = WeightAverage(field, config.average_decay)
         self.finite = FiniteSteps()
         self.samples_per_ray = 0.0  # running mean
 
@@ -153,16 +155,15 @@ class FieldFit:
 
     def state_dict(self) -> dict:
         """Optimiser, weight average and running mean of samples."""
-        optimizer = self.optimizer.optimizer if hasattr(self.optimizer, "optimizer") else self.optimizer
         return {
-            "optimizer": optimizer.state_dict(),
+            "optimizer": self.optimizer.optimizer.state_dict(),
             "average": self.average.state_dict(),
             "samples_per_ray": self.samples_per_ray,
         }
 
     def load_state_dict(self, state: dict) -> None:
         """Continue from a saved state."""
-        self.optimizer.load_state_dict(state["optimizer"])
+        self.optimizer.optimizer.load_state_dict(state["optimizer"])
         self.average.load_state_dict(state["average"])
         self.samples_per_ray = state["samples_per_ray"]
 
@@ -182,8 +183,8 @@ class FieldFit:
         """Refresh the occupancy grid for a bank of conditions."""
         self.occupancy.update(lambda positions: self.field.density_bank(positions, conditions))
 
-    def step(self, step: int, batch: RayBatch, generator: torch.Generator) -> dict[str, float]:
-        """Take one optimiser step (or skip it if anything is not finite) and return its metrics."""
+    def step(self, step: int, batch: RayBatch, generator: torch.Generator | None) -> dict[str, float]:
+        """Take one optimiser step (or skip it if anything is not finite) and return metrics over all processes."""
         progress = min(step / max(self.total_steps, 1), 1.0)
         decay = self.config.final_learning_rate / self.config.learning_rate
         for group in self.optimizer.param_groups:
@@ -192,16 +193,19 @@ class FieldFit:
         loss, squared, samples = self.loss(batch, self.occupancy, self.settings, generator)
         self.fabric.backward(loss)
         gradient = torch.nn.utils.get_total_norm([p.grad for p in self.field.parameters() if p.grad is not None])
-        if self.finite.accepts(step, {"colour loss": loss.detach(), "gradient": gradient}):
+        numbers = torch.stack([loss.detach(), squared, loss.new_tensor(samples), loss.new_tensor(len(batch.rays))])
+        # one process must not skip a step that the others take, nor draw another number of rays
+        mean_loss, mean_squared, mean_samples, mean_rays = self.fabric.all_reduce(numbers, reduce_op="mean").tolist()
+        if self.finite.accepts(step, {"colour loss": mean_loss, "gradient": gradient}):
             self.optimizer.step()
             self.average.update()
-        mean = samples / max(len(batch.rays), 1)
-        self.samples_per_ray = mean if not self.samples_per_ray else 0.8 * self.samples_per_ray + 0.2 * mean
+        a_ray = mean_samples / max(mean_rays, 1)
+        self.samples_per_ray = a_ray if not self.samples_per_ray else 0.8 * self.samples_per_ray + 0.2 * a_ray
         return {
-            "loss": float(loss.detach()),
-            "psnr": -10 * math.log10(max(float(squared), 1e-12)),
-            "rays": len(batch.rays),
-            "samples": samples,
+            "loss": mean_loss,
+            "psnr": -10 * math.log10(max(mean_squared, 1e-12)) if math.isfinite(mean_squared) else math.nan,
+            "rays": round(mean_rays),
+            "samples": round(mean_samples),
             "skipped": self.finite.skipped,
         }
 

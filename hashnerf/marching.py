@@ -23,7 +23,7 @@ FLOOR = 0.5  # opacity added to all occupied intervals of a ray together, so tha
 class MarchSettings:
     """How rays are sampled."""
 
-    candidates: int = 192
+    candidates: int = 128
     """Positions tried along a ray between entering and leaving the scene box."""
     even_distance: float = 20.0
     """Up to about this distance (m) positions are evenly spaced, beyond it the spacing grows with distance."""
@@ -64,19 +64,18 @@ def intervals(
     near: Float[Tensor, " rays"], far: Float[Tensor, " rays"], settings: MarchSettings
 ) -> tuple[Float[Tensor, "rays candidates"], Float[Tensor, "rays candidates"]]:
     """Return start and length (m) of the intervals between near and far."""
-    count, c = settings.candidates, settings.even_distance
-    steps = torch.arange(count, device=near.device, dtype=near.dtype)
-    scale = (near + c)[:, None]
+    steps = torch.arange(settings.candidates, device=near.device, dtype=near.dtype)
+    near, scale = near[:, None], (near + settings.even_distance)[:, None]
     # log1p and expm1 of small numbers, not differences of log and exp: short intervals would drown in rounding
-    growth = torch.log1p((far - near)[:, None] / scale) / count
-    start = near[:, None] + scale * torch.expm1(steps * growth)
-    return start, scale * torch.exp(steps * growth) * torch.expm1(growth)
+    growth = torch.log1p((far[:, None] - near) / scale) / settings.candidates
+    grown = torch.expm1(steps * growth)
+    return torch.addcmul(near, scale, grown), (grown + 1).mul_(scale * torch.expm1(growth))
 
 
-def _uniform(like: Tensor, generator: torch.Generator | None) -> Tensor | float:
+def _uniform(like: Tensor, generator: torch.Generator | None) -> Tensor:
     """Random numbers in [0, 1), or the middle without a generator."""
     if generator is None:
-        return 0.5
+        return torch.full_like(like, 0.5)
     return torch.rand(like.shape, generator=generator, device=like.device, dtype=like.dtype)
 
 
@@ -87,19 +86,24 @@ def march(
     """Sample rays where the grid is occupied and not hidden behind what is always opaque; jittered with a generator."""
     near, far, hit = intersect_box(rays.origins, rays.directions, occupancy.box, settings.near)
     start, dt = intervals(near, far, settings)
-    t = start + _uniform(dt, generator) * dt
-    positions = rays.origins[:, None] + rays.directions[:, None] * t[:, :, None]
-    density = occupancy.densities().index_select(0, occupancy.cell_index(positions.view(-1, 3)))
-    highest, lowest = density.view(*t.shape, 2).unbind(dim=2)
-    thickness = lowest * dt
-    before = torch.cumsum(thickness, dim=1) - thickness  # rounding here moves the end of a ray by nothing that counts
-    mask = (highest > 0) & (dt > 0) & hit[:, None]
+    # resampling draws again within each interval, so there the look-up needs no more than one number a ray
+    shift = _uniform(dt if not settings.samples else dt[:, :1], generator)
+    t = torch.addcmul(start, dt, shift)
+    highest, lowest = occupancy.densities_along(rays, t)
+    mask = (highest > 0) & (hit & (far > near))[:, None]
+    if bool(lowest.any()):
+        thickness = lowest.mul_(dt)
+        before = torch.cumsum(thickness, dim=1).sub_(
+            thickness
+        )  # rounding here moves a ray's end by nothing that counts
+    else:
+        before = torch.zeros_like(dt)
     if settings.stop_transmittance > 0:
         mask &= before <= -math.log(settings.stop_transmittance)
     if not settings.samples:
         return _compact(t, dt, mask)
-    importance = torch.where(mask, torch.exp(-before) * -torch.expm1(-highest * dt), 0.0)
-    return _resample(start, dt, importance, mask, settings, generator)
+    expected = torch.expm1(highest.mul_(dt).neg_()).neg_().mul_(torch.exp(before.neg_()))
+    return _resample(start, dt, expected, mask, settings, generator)
 
 
 def _compact(t: Tensor, dt: Tensor, mask: Tensor) -> Samples:
@@ -116,24 +120,25 @@ def _compact(t: Tensor, dt: Tensor, mask: Tensor) -> Samples:
 def _resample(
     start: Tensor,
     dt: Tensor,
-    importance: Tensor,
+    expected: Tensor,
     mask: Tensor,
     settings: MarchSettings,
     generator: torch.Generator | None,
 ) -> Samples:
-    """Draw samples in proportion to the opacity expected of each interval, more of them the more opacity there is.
+    """Draw samples in proportion to the visible opacity expected of each interval, more of them the more there is.
 
     A sample drawn with density p (1/m) among n stands for a length 1/(n p), so every sample has about the same optical
     thickness and the integral along the ray stays right whatever the expectation was.
     """
-    importance = torch.where(mask, importance + FLOOR * dt / dt.sum(dim=1, keepdim=True).clamp(min=1e-12), 0.0)
-    total = importance.sum(dim=1, keepdim=True)
+    evenly = FLOOR / dt.sum(dim=1, keepdim=True).clamp(min=1e-12)
+    importance = torch.addcmul(expected, dt, evenly).mul_(mask)
+    cumulative = torch.cumsum(importance, dim=1)
+    total = cumulative[:, -1:]
     count = (total * settings.samples_per_opacity + 1).ceil().clamp(max=settings.samples) * (total > 0)
     width = int(count.max()) if len(dt) else 0
     place = torch.arange(width, device=dt.device, dtype=dt.dtype).expand(len(dt), width)
     kept = place < count
-    cumulative = torch.cumsum(importance, dim=1)
-    wanted = (place + _uniform(place, generator)) / count.clamp(min=1) * cumulative[:, -1:]
+    wanted = (place + _uniform(place, generator)) / count.clamp(min=1) * total
     interval = torch.searchsorted(cumulative, wanted, right=True).clamp(max=dt.shape[1] - 1)
     mass, length = importance.gather(1, interval), dt.gather(1, interval)
     kept &= mass > 0

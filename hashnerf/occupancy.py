@@ -8,7 +8,7 @@ the minimum falls at once and rises slowly: both errors then cost time, not geom
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -16,11 +16,12 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from hashnerf.errors import UserError
+from hashnerf.rays import Rays
 
 LOG = logging.getLogger(__name__)
 MAX_THICKNESS = 10.0  # exp(-10): opaque. A bounded spike decays below the threshold within a bounded number of updates
-# Additive recurrence: consecutive points fill a cell evenly, so a thin pole is soon met. The plastic number's powers fill
-# the plane best, and most poles stand upright; the golden ratio goes well with them in height.
+# Additive recurrence: consecutive points fill a cell evenly, so a thin pole is soon met. The powers of the plastic
+# number fill the plane best, and most poles stand upright; the golden ratio goes well with them in height.
 SEQUENCE = (1 / 1.324717957244746, 1 / 1.324717957244746**2, 2 / (1 + math.sqrt(5)))
 CHUNK = 1 << 17  # positions evaluated at once
 
@@ -74,10 +75,27 @@ class OccupancyGrid(nn.Module):
 
     def cell_index(self, positions: Float[Tensor, "n 3"]) -> Int[Tensor, " n"]:
         """Index of the cell of each position (m); positions outside the box count to the nearest cell."""
-        _, ny, nz = self.shape
         place = (positions - self.box[0]) * self.inverse_edges
-        x, y, z = (place[:, axis].clamp(0, count - 1).to(torch.int32) for axis, count in enumerate(self.shape))
-        return (x * ny + y) * nz + z
+        return self._index(place.unbind(dim=1))
+
+    def _index(self, place: Sequence[Tensor]) -> Tensor:
+        """Flat cell index from lattice coordinates, axis by axis; overwrites them."""
+        index = None
+        for axis, count in zip(place, self.shape):
+            cell = axis.clamp_(0, count - 1).to(torch.int32)
+            index = cell if index is None else index.mul_(count).add_(cell)
+        return index
+
+    def densities_along(
+        self, rays: Rays, t: Float[Tensor, "rays places"]
+    ) -> tuple[Float[Tensor, "rays places"], Float[Tensor, "rays places"]]:
+        """Greatest density of the cells at distances t along rays over the bank (1/m; 0 = skip) and the smallest."""
+        origin = (rays.origins - self.box[0]) * self.inverse_edges
+        step = rays.directions * self.inverse_edges
+        axes = [torch.addcmul(o[:, None], s[:, None], t) for o, s in zip(origin.unbind(dim=1), step.unbind(dim=1))]
+        index = self._index(axes).view(-1)
+        highest, lowest = (table.index_select(0, index).view(t.shape) for table in self.densities())
+        return highest, lowest
 
     def occupied(self) -> Bool[Tensor, " cells"]:
         """Which cells rays must sample: all during the warm-up, and all with a warning if nothing is left."""
@@ -91,12 +109,12 @@ class OccupancyGrid(nn.Module):
             return torch.ones_like(occupied)
         return occupied
 
-    def densities(self) -> Float[Tensor, "cells 2"]:
+    def densities(self) -> tuple[Float[Tensor, " cells"], Float[Tensor, " cells"]]:
         """Greatest density of each cell over the bank (1/m; 0 = skip, never 0 where occupied) and the smallest."""
         least = self.config.threshold  # an occupied cell of unknown or faded density still gets its share of samples
         highest = torch.where(self.occupied(), self.maximum.clamp(min=least), 0.0)
         lowest = self.minimum if int(self.updates) >= self.config.warmup else torch.zeros_like(self.minimum)
-        return torch.stack([highest, lowest], dim=1) / self.edge
+        return highest / self.edge, lowest / self.edge
 
     def occupied_fraction(self) -> float:
         """Share of the cells that rays sample."""
