@@ -27,9 +27,9 @@ def trained_like(config=SMALL, size=3):
 
 
 def test_density_starts_even_and_colour_in_range():
-    density, rgb = Field(SMALL, BOX)(*samples(500))
-    # initial_thickness 10 over the longest side, 8 m
-    assert torch.allclose(density, torch.full((500,), 10 / 8), rtol=1e-2)
+    density, rgb = Field(dataclasses.replace(SMALL, initial_thickness=4.0), BOX)(*samples(500))
+    # thickness 4 along the longest side, 8 m
+    assert torch.allclose(density, torch.full((500,), 4 / 8), rtol=1e-2)
     assert ((rgb > 0) & (rgb < 1)).all()
 
 
