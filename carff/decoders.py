@@ -35,8 +35,8 @@ class DecoderConfig:
     targets: int = 2
     """Target cameras decoded per encoded picture and step by `conv`."""
     balance: float = 1.0
-    """How far `components` weighs small changes like large ones: 0 is the plain pixel error, 1 counts every component of
-    every camera alike."""
+    """How far `components` weighs small changes like large ones: 0 is the plain pixel error, 1 counts components
+    alike, whatever share of the picture they change."""
 
     def __post_init__(self):
         for key in ("components", "width", "targets"):

@@ -191,7 +191,8 @@ def test_no_machine_paths_and_no_registry_hosts():
 def test_tests_mirror_the_packages():
     files = set(python_files())
     modules = {path for path in files if path.split("/")[0] in PACKAGES and not path.endswith("__init__.py")}
-    tests = {path for path in files if path.startswith("tests/") and path.split("/")[1] in PACKAGES}
+    named = (path for path in files if path.startswith("tests/") and path.split("/")[1] in PACKAGES)
+    tests = {path for path in named if path.split("/")[-1].startswith("test_")}
     homeless = [path for path in tests if not any(belongs_to(path, module) for module in modules)]
     public = [path for path in modules if has_public_names(python_files()[path])]
     untested = [module for module in public if not any(belongs_to(path, module) for path in tests)]
