@@ -1,7 +1,7 @@
 """From pictures to decisions: encode, forecast n next states, probe them, apply the planner's rule."""
 
 import torch
-from jaxtyping import Int, UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from carff.beliefs import Belief
@@ -10,12 +10,12 @@ from carff.planner import Decision, PlannerConfig, decide
 
 
 @torch.no_grad()
-def sample_next_states(
+def sample_next_scores(
     model: CarffModel, belief: Belief, n: int, generator: torch.Generator
-) -> Int[Tensor, "beliefs {n}"]:
-    """Returns the probed states of `n` sampled next scenes per belief, -1 where the probe could not tell."""
+) -> Float[Tensor, "beliefs {n} boxes"]:
+    """Returns how occupied every candidate box is in `n` sampled next scenes per belief."""
     latents = model.mdn(belief.mean, belief.logvar).sample(n, generator)
-    return model.probe_latents(latents.flatten(0, 1)).reshape(len(belief), n)
+    return model.probe_scores(latents.flatten(0, 1)).reshape(len(belief), n, -1)
 
 
 def decide_from_pictures(
@@ -26,5 +26,5 @@ def decide_from_pictures(
     generator: torch.Generator,
 ) -> list[Decision]:
     """Returns one decision per picture, each from `n` sampled futures of its own."""
-    states = sample_next_states(model, model.encode(pictures), n, generator)
-    return [decide(*model.hazards(row), planner) for row in states]
+    scores = sample_next_scores(model, model.encode(pictures), n, generator)
+    return [decide(*model.hazards(row), planner) for row in scores]

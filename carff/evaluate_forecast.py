@@ -3,7 +3,8 @@
 Only views whose state goes on are asked for a forecast. Equal pictures give equal beliefs, so each distinct picture is
 sampled once, `runs` times `draws` futures, and all its views share the answer. What may truly follow a picture is
 whatever follows one of the states that give it; how often each branch does is the share of its states among them.
-Branch probabilities are shares of the samples whose state the probe could tell; the rest is reported as unknown.
+Branch probabilities are shares of the samples whose branch the probe could tell, even where it could not tell the very
+state; the rest is reported as unknown.
 """
 
 import math
@@ -15,7 +16,7 @@ from torch import Tensor
 
 from carff.beliefs import Belief, sample_beliefs
 from carff.charts import accuracy_recall_chart, calibration_chart
-from carff.decisions import sample_next_states
+from carff.decisions import sample_next_scores
 from carff.evaluation_data import EvaluationData, Part, Views
 from carff.figure_style import png_bytes
 from carff.forecast_metrics import AccuracyRecall, accuracy_recall_curves, branch_calibration, branch_frequency
@@ -41,8 +42,13 @@ def evaluate_forecast(evaluation: EvaluationData) -> Part:
     views = evaluation.views.select(evaluation.goes_on())
     pictures = distinct_pictures(views)
     belief = views.belief.select(pictures.view)
-    states = sample_next_states(evaluation.model, belief, runs * draws, evaluation.generator(6))
-    results, figures, reasons = branch_results(evaluation, views, states[pictures.of_view])
+    scores = sample_next_scores(evaluation.model, belief, runs * draws, evaluation.generator(6)).flatten(0, 1)
+    states = evaluation.model.probe.classify(scores)
+    votes = branch_votes(states, evaluation.model.probe.agreed(scores, evaluation.table.branch), evaluation)
+    branches = votes.shape[1]
+    of_pictures = votes.reshape(len(belief), -1, branches)
+    results, figures, reasons = branch_results(evaluation, views, of_pictures[pictures.of_view])
+    results["unknown_state_share"] = float((states == UNKNOWN).float().mean())
 
     after = evaluation.table.successor[views.state]
     ahead = _curves(evaluation, views, pictures, after, states.reshape(len(belief), runs, draws))
@@ -63,14 +69,14 @@ def distinct_pictures(views: Views) -> Pictures:
 
 
 def branch_results(
-    evaluation: EvaluationData, views: Views, states: Int[Tensor, "n draws"]
+    evaluation: EvaluationData, views: Views, votes: Float[Tensor, "n draws branches"]
 ) -> tuple[dict, dict[str, bytes], dict[str, str]]:
     """Returns calibration figures of all views, of each split and of the ego's cameras, its chart, reasons for gaps."""
     branches = len(evaluation.table.branch_names)
-    probability, answered = branch_probability(states, evaluation.branch_share())
+    probability, answered = branch_probability(votes)
     branch = evaluation.table.branch[views.state]
     frequency = branch_frequency(views.picture.numpy(), branch.numpy(), branches)
-    unknown = states == UNKNOWN
+    unknown = votes.sum(dim=-1) == 0
     results: dict = {
         "views": len(views),
         "views_without_answer": int((~answered).sum()),
@@ -84,7 +90,7 @@ def branch_results(
     everything = calibration(torch.ones(len(views), dtype=torch.bool))
     results |= {"branch_ece": everything["ece"], "branch_mae": everything.get("mae"), "calibration": everything}
     if everything["ece"] is None:
-        reason = everything.get("reason", "the probe could not tell the state of any sampled future")
+        reason = everything.get("reason", "the probe could not tell the branch of any sampled future")
         return results, {}, dict.fromkeys(_BRANCH_FIGURES, reason)
     for name, kind in (("train", views.train), ("test", views.test), ("ego", views.ego)):
         results[f"calibration_{name}"] = calibration(kind)
@@ -98,13 +104,21 @@ def branch_results(
 _BRANCH_FIGURES = ("forecast.branch_ece", "forecast.ambiguous_branch_error", "calibration")
 
 
+def branch_votes(
+    states: Int[Tensor, " n"], branch: Int[Tensor, " n"], evaluation: EvaluationData
+) -> Float[Tensor, "n branches"]:
+    """Returns what each sample says for each branch: a known state its branches evenly, else a known branch, else 0."""
+    names = len(evaluation.table.branch_names)
+    alone = torch.nn.functional.one_hot(branch.clamp(min=0), names).float() * (branch != UNKNOWN)[:, None]
+    return torch.where((states != UNKNOWN)[:, None], evaluation.branch_share()[states.clamp(min=0)], alone)
+
+
 def branch_probability(
-    states: Int[Tensor, "n draws"], share: Float[Tensor, "states branches"]
+    votes: Float[Tensor, "n draws branches"],
 ) -> tuple[Float[Tensor, "n branches"], Bool[Tensor, " n"]]:
-    """Returns each branch's share of the known samples, and which rows have any (the others are NaN)."""
-    known = states != UNKNOWN
-    votes = share.double()[states.clamp(min=0)] * known[:, :, None]
-    return votes.sum(dim=1) / known.sum(dim=1, keepdim=True), known.any(dim=1)
+    """Returns each branch's share of the samples that say anything, and which rows have any (the others are NaN)."""
+    total = votes.double().sum(dim=1)
+    return total / total.sum(dim=1, keepdim=True), total.sum(dim=1) > 0
 
 
 def plausible_labels(

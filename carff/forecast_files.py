@@ -52,7 +52,7 @@ def forecast_image(
         "steps": [_step(model, states) for states in forecast.states],
     }
     if model.scene.hazard is not None:
-        decision = decide(*model.hazards(forecast.states[0]), model.config.planner)
+        decision = decide(*model.hazards(forecast.scores[0]), model.config.planner)
         document["decision"] = {"go": decision.go, "hazard_probability": decision.hazard_probability}
     write_atomically(out / "forecast.json", json.dumps(document, indent=1, allow_nan=False).encode())
     return ForecastResult(tuple(_lines(document, out)), document)

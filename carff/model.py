@@ -52,15 +52,18 @@ class CarffModel:
         """Returns `n` sampled futures of one belief, `ahead` steps far."""
         return roll_out(belief, self.mdn, self.probe, self.nerf.density, self.state_beliefs, n, ahead, generator)
 
-    def probe_latents(self, latents: Float[Tensor, "n d"], at_once: int = 512) -> Int[Tensor, " n"]:
-        """Returns the probed state of each latent's scene, -1 where unknown."""
-        parts = [self.probe.classify(self.probe.scores(part, self.nerf.density)) for part in latents.split(at_once)]
-        return torch.cat(parts)
+    def probe_scores(self, latents: Float[Tensor, "n d"], at_once: int = 512) -> Float[Tensor, "n boxes"]:
+        """Returns how occupied every candidate box is in the scene of each latent."""
+        return torch.cat([self.probe.scores(part, self.nerf.density) for part in latents.split(at_once)])
 
-    def hazards(self, states: Int[Tensor, " n"]) -> tuple[Bool[Tensor, " n"], Bool[Tensor, " n"]]:
-        """Returns which probed states are hazards, and which are unknown."""
-        unknown = states == UNKNOWN
-        return self.scene.known_hazard()[states] & ~unknown, unknown
+    def probe_latents(self, latents: Float[Tensor, "n d"]) -> Int[Tensor, " n"]:
+        """Returns the probed state of each latent's scene, -1 where unknown."""
+        return self.probe.classify(self.probe_scores(latents))
+
+    def hazards(self, scores: Float[Tensor, "n boxes"]) -> tuple[Bool[Tensor, " n"], Bool[Tensor, " n"]]:
+        """Returns which probed scenes are hazards, and of which that is unknown."""
+        flag = self.probe.agreed(scores, self.scene.known_hazard().long())
+        return flag == 1, flag == UNKNOWN
 
 
 def load_carff(folder: Path) -> CarffModel:

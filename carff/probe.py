@@ -19,6 +19,7 @@ from carff.states import ActorBox
 from hashnerf.errors import UserError
 
 UNKNOWN = -1
+SMALLEST_WIDTH = 0.2  # a gap of a few per cent of opacity is noise of the field: its vote must stay weak
 DensityFn = Callable[[Float[Tensor, "points 3"], Float[Tensor, "latents d"]], Float[Tensor, "latents points"]]
 
 
@@ -75,12 +76,18 @@ class Probe:
 
     def classify(self, scores: Float[Tensor, "n boxes"]) -> Int[Tensor, " n"]:
         """Returns the state of each row of scores, or UNKNOWN; equal states answer with the first of them."""
+        occupied = self.candidates.occupied
+        return self.agreed(scores, (occupied[:, None] == occupied[None]).all(dim=-1).float().argmax(dim=1))
+
+    def agreed(self, scores: Float[Tensor, "n boxes"], label: Int[Tensor, " states"]) -> Int[Tensor, " n"]:
+        """Returns the label (0, 1, ...) that the states which fit each row of scores agree on, or UNKNOWN.
+
+        It may be certain where the state is not: two states that differ only in where the ego's own body stands agree
+        about the hazard and the branch.
+        """
         posterior = self.state_posterior(scores)
-        same = (self.candidates.occupied[:, None] == self.candidates.occupied[None]).all(dim=-1)
-        pooled = posterior @ same.float()
-        first = same.float().argmax(dim=1)
-        best = pooled.argmax(dim=-1)
-        return torch.where(pooled.amax(dim=-1) >= self.min_confidence, first[best], UNKNOWN)
+        pooled = posterior @ torch.nn.functional.one_hot(label).to(posterior)
+        return torch.where(pooled.amax(dim=-1) >= self.min_confidence, pooled.argmax(dim=-1), UNKNOWN)
 
 
 def build_candidates(states: list[list[ActorBox]], config: ProbeConfig) -> Candidates:
@@ -143,5 +150,5 @@ def calibrate(
         low = scores[~on, box].quantile(0.9) if bool((~on).any()) else torch.tensor(0.0)
         high = scores[on, box].quantile(0.1) if bool(on.any()) else torch.tensor(1.0)
         threshold.append((low + high) / 2)
-        width.append((high - low).clamp(min=0.02) if high > low else torch.tensor(1.0))
+        width.append((high - low).clamp(min=SMALLEST_WIDTH) if high > low else torch.tensor(1.0))
     return Probe(candidates, torch.stack(threshold), torch.stack(width), min_confidence)

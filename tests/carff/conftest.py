@@ -129,7 +129,7 @@ class KnowingModel(CarffModel):
             "pcvae": KnowingPcvae(images, table.views),
             "nerf": KnowingNerf(images, table.views),
             "mdn": KnowingMdn(table.successor),
-            "probe": Probe(candidates, torch.zeros(boxes), torch.ones(boxes), 0.6),
+            "probe": Probe(candidates, torch.full((boxes,), 0.5), torch.ones(boxes), 0.6),
             "state_beliefs": Belief(torch.eye(len(table)), torch.full((len(table), len(table)), -12.0)),
             "costs": {name: {"seconds": 1.5, "peak_memory_mb": 100.0} for name in ("pcvae", "nerf", "mdn")},
             "images": images,
@@ -148,10 +148,9 @@ class KnowingModel(CarffModel):
         mean = weight / weight.sum(dim=1, keepdim=True)
         return Belief(mean, torch.full_like(mean, -12.0))
 
-    def probe_latents(self, latents: torch.Tensor, at_once: int = 64) -> torch.Tensor:
-        """Reads the largest entry; unknown (-1) without a clear one."""
-        value, state = latents.max(dim=1)
-        return torch.where(value > 0.6, state, -1)
+    def probe_scores(self, latents: torch.Tensor, at_once: int = 64) -> torch.Tensor:
+        """Finds each box as occupied as the latent says."""
+        return latents @ self.probe.candidates.occupied.float()
 
 
 @pytest.fixture

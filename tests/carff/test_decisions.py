@@ -2,7 +2,8 @@
 
 import torch
 
-from carff.decisions import decide_from_pictures, sample_next_states
+from carff.beliefs import Belief
+from carff.decisions import decide_from_pictures, sample_next_scores
 from carff.planner import PlannerConfig
 
 
@@ -10,15 +11,20 @@ def generator() -> torch.Generator:
     return torch.Generator().manual_seed(0)
 
 
+def next_states(evaluation, belief: Belief, n: int) -> torch.Tensor:
+    scores = sample_next_scores(evaluation.model, belief, n, generator())
+    return evaluation.model.probe.classify(scores.flatten(0, 1)).reshape(len(belief), n)
+
+
 def test_samples_are_next_states_and_equal_seeds_give_equal_ones(tiny_evaluation):
     views = tiny_evaluation.views
     clear = views.belief.select((views.camera == 1) & (views.state == 2))
-    assert (sample_next_states(tiny_evaluation.model, clear, 7, generator()) == 3).all()
+    assert (next_states(tiny_evaluation, clear, 7) == 3).all()
     hidden = views.belief.select((views.camera == 0) & (views.state == 0))
-    states = sample_next_states(tiny_evaluation.model, hidden, 400, generator())
+    states = next_states(tiny_evaluation, hidden, 400)
     assert states.shape == (1, 400) and set(states.unique().tolist()) == {1, 3}
     assert 150 < int((states == 3).sum()) < 250  # one half, within 5 standard deviations of 10
-    assert torch.equal(states, sample_next_states(tiny_evaluation.model, hidden, 400, generator()))
+    assert torch.equal(states, next_states(tiny_evaluation, hidden, 400))
 
 
 def test_one_decision_per_picture(tiny_evaluation):
@@ -28,3 +34,13 @@ def test_one_decision_per_picture(tiny_evaluation):
     assert [one.go for one in decisions] == [True, False, False], "clear; the truck is there; it may be hidden"
     assert [one.samples for one in decisions] == [35] * 3
     assert decisions[1].hazards == 35 and 5 < decisions[2].hazards < 30
+
+
+def test_not_knowing_where_the_ego_stands_does_not_hide_the_hazard(tiny_evaluation, monkeypatch):
+    # Boxes: ego at t0, ego at t1, truck at t0, truck at t1. The ego is seen in neither place, the truck clearly.
+    scores = torch.tensor([[0.5, 0.5, 0.0, 1.0], [0.5, 0.5, 0.0, 0.0], [0.5, 0.5, 0.5, 0.5]])
+    model = tiny_evaluation.model
+    assert model.probe.candidates.names == ("ego", "ego", "truck", "truck")
+    hazard, unknown = model.hazards(scores)
+    assert hazard.tolist() == [True, False, False] and unknown.tolist() == [False, False, True]
+    assert model.probe.classify(scores).tolist() == [3, -1, -1], "the empty scene could be either step"

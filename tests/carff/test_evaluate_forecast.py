@@ -5,7 +5,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from carff.evaluate_forecast import branch_probability, distinct_pictures, evaluate_forecast, plausible_labels
+from carff.evaluate_forecast import (
+    branch_probability,
+    branch_votes,
+    distinct_pictures,
+    evaluate_forecast,
+    plausible_labels,
+)
 from carff.states import build_state_table
 
 
@@ -48,13 +54,29 @@ def test_an_overconfident_forecast_is_found_out(tiny_evaluation, monkeypatch):
 
 
 def test_unknown_samples_are_counted_and_leave_no_probability(tiny_evaluation, monkeypatch):
-    monkeypatch.setattr(
-        type(tiny_evaluation.model), "probe_latents", lambda self, latents: torch.full((len(latents),), -1)
-    )
+    model = type(tiny_evaluation.model)
+    monkeypatch.setattr(model, "probe_scores", lambda self, latents: torch.full((len(latents), 4), 0.5))
     part = evaluate_forecast(tiny_evaluation)
-    assert part.results["forecast"]["unknown_share"] == 1.0
-    assert part.results["forecast"]["views_without_answer"] == 8
+    forecast = part.results["forecast"]
+    assert forecast["unknown_share"] == forecast["unknown_state_share"] == 1.0
+    assert forecast["views_without_answer"] == 8
     assert set(part.not_run) == {"forecast.branch_ece", "forecast.ambiguous_branch_error", "calibration"}
+
+
+def test_a_branch_may_be_certain_where_the_state_is_not(tiny_evaluation, monkeypatch):
+    model = type(tiny_evaluation.model)
+    seen = model.probe_scores
+
+    def without_ego(self, latents):  # boxes: ego, ego, truck, truck
+        scores = seen(self, latents)
+        scores[:, :2] = 0.5
+        return scores
+
+    monkeypatch.setattr(model, "probe_scores", without_ego)
+    forecast = evaluate_forecast(tiny_evaluation).results["forecast"]
+    assert forecast["unknown_share"] == 0.0, "no truck: absent, at whichever step"
+    assert 0.2 < forecast["unknown_state_share"] < 0.8
+    assert forecast["branch_ece"] < 0.06
 
 
 def test_a_single_branch_has_curves_but_nothing_to_calibrate(tiny_evaluation):
@@ -67,13 +89,20 @@ def test_a_single_branch_has_curves_but_nothing_to_calibrate(tiny_evaluation):
     assert len(rows) == 8 and len(build_state_table(data)) == 4
 
 
+def test_votes_by_hand(tiny_evaluation):
+    occupied = tiny_evaluation.model.probe.candidates.occupied
+    occupied[2] = occupied[0]  # the branches cannot be told apart at step 0
+    states, branch = torch.tensor([0, 3, -1, -1]), torch.tensor([-1, 1, 0, -1])
+    votes = branch_votes(states, branch, tiny_evaluation)
+    # a state of both branches counts half for each; an unknown state of a known branch for that; the last says nothing
+    assert votes.tolist() == [[0.5, 0.5], [0.0, 1.0], [1.0, 0.0], [0.0, 0.0]]
+
+
 def test_branch_probability_by_hand():
-    share = torch.tensor([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]])
-    states = torch.tensor([[0, 0, 2, -1], [1, 1, 2, 0], [-1, -1, -1, -1]])
-    probability, answered = branch_probability(states, share)
-    # row 0: 2 of 3 known for branch 0; row 1: (1/2 + 1/2 + 0 + 1) / 4 = 1/2
-    assert probability[0].tolist() == pytest.approx([2 / 3, 1 / 3]) and probability[1].tolist() == [0.5, 0.5]
-    assert answered.tolist() == [True, True, False] and probability[2].isnan().all()
+    votes = torch.tensor([[[1.0, 0.0], [0.5, 0.5], [0.0, 0.0]], [[0.0, 0.0]] * 3])
+    probability, answered = branch_probability(votes)
+    assert probability[0].tolist() == [0.75, 0.25] and probability[1].isnan().all()
+    assert answered.tolist() == [True, False]
 
 
 def test_plausible_labels_and_distinct_pictures(tiny_evaluation):

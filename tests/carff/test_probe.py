@@ -85,3 +85,15 @@ def test_a_useless_candidate_has_a_weak_vote():
 def test_no_boxes_is_a_sentence():
     with pytest.raises(UserError, match="names no actor boxes"):
         build_candidates([[], []], CONFIG)
+
+
+def test_states_that_differ_in_what_does_not_matter_agree():
+    probe, scores, state = probe_of()
+    labels = torch.tensor([1, 1, 0])  # a truck somewhere, a truck somewhere, none
+    assert torch.equal(probe.agreed(scores, labels), labels[state])
+    halfway = 0.5 * (scores[:1] + scores[1:2])  # the near box and the far box half occupied: near, far or none?
+    assert probe.classify(halfway).tolist() == [UNKNOWN]
+    both = torch.maximum(scores[:1], scores[1:2])  # near or far: unknown which, but a truck
+    assert probe.classify(both).tolist() == [UNKNOWN]
+    assert probe.agreed(both, labels).tolist() == [1]
+    assert probe.agreed(both, torch.tensor([0, 1, 0])).tolist() == [UNKNOWN]
