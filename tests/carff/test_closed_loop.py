@@ -7,7 +7,16 @@ import pytest
 import torch
 
 from carff import closed_loop as module
-from carff.closed_loop import Camera, SeeingPolicy, compared, drive_episodes, drive_run, undrivable, usable_cores
+from carff.closed_loop import (
+    Camera,
+    SeeingPolicy,
+    compared,
+    drive_episodes,
+    drive_run,
+    remembering,
+    undrivable,
+    usable_cores,
+)
 from carff.closed_loop_file import load_closed_loop
 from carff.driving import Drive, DrivingConfig, Setup, begin, can_stop, draw_setup, stop_matters
 from carff.planner import PlannerConfig, decide
@@ -96,6 +105,27 @@ def test_a_seeing_policy_decides_from_each_drives_own_picture(tiny_evaluation, m
     drives = [replace(begin(setups(1)[0]), s=s) for s in (50.0, 150.0)]
     assert policy(drives) == [True, False]
     assert shown[0].shape == (2, 32, 32, 3)
+
+
+def test_no_scene_is_rendered_twice(monkeypatch):
+    rendered: list[list[Drive]] = []
+
+    def render(drives: list[Drive]) -> list[np.ndarray]:
+        rendered.append(drives)
+        return [np.full((2, 2, 3), 10 * drive.time + drive.s, dtype=np.uint8) for drive in drives]
+
+    look = remembering(WORLD, render)
+    empty = Drive(Setup(0, {"ego": 11.0}, {"ego": 8.0}), 1.0, 28.0, 0.0)
+    truck = Drive(Setup(1, {"ego": 11.0, "truck": 9.0}, {"ego": 8.0, "truck": 7.0}), 1.0, 28.0, 0.0)
+    seen = look([empty, truck, empty])
+    assert rendered[-1] == [empty, truck] and seen[:, 0, 0, 0].tolist() == [38, 38, 38]
+    # Later nothing has changed without the truck; with it everything has. Another place is another picture, too.
+    later = [replace(empty, time=2.0), replace(truck, time=2.0), replace(empty, s=27.0)]
+    assert look(later)[:, 0, 0, 0].tolist() == [38, 48, 37]
+    assert rendered[-1] == later[1:]
+    monkeypatch.setattr(module, "MOST_PICTURES", 1)
+    look([empty])
+    assert rendered[-1] == [empty], "an over-full memory starts anew"
 
 
 def test_policies_are_compared_setup_by_setup():
