@@ -112,7 +112,7 @@ def closed_loop(
 
 
 def remembering(world: World, render: Callable[[list[Drive]], list[np.ndarray]]) -> Look:
-    """Returns a renderer that renders no scene twice: rules start alike, and an ego that stands may see nothing move."""
+    """Returns a renderer that renders no scene twice: rules start alike, and an ego that stands may see no change."""
     known: dict[tuple, np.ndarray] = {}
 
     def key(drive: Drive) -> tuple:

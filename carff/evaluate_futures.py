@@ -11,7 +11,7 @@ from jaxtyping import Bool, UInt8
 from torch import Tensor
 
 from carff.evaluate_scenes import BIRDS_EYE, render_scenes
-from carff.evaluation_data import NONE, EvaluationData, Part, main_actor
+from carff.evaluation_data import NONE, EvaluationData, Part, main_actor, one_label
 from carff.evaluation_pictures import camera_name
 from carff.figure_style import png_bytes
 from carff.figures import Futures, futures_strip
@@ -26,7 +26,9 @@ def evaluate_futures(evaluation: EvaluationData) -> Part:
     """Returns a strip of sampled futures for a clear and for an occluded picture."""
     views, goes_on = evaluation.views, evaluation.goes_on()
     several = branch_ambiguous(evaluation.groups, evaluation.table.branch)[views.state, views.camera]
-    settled = goes_on & views.determined
+    rows = goes_on.nonzero()[:, 0]
+    after = evaluation.same_boxes[evaluation.table.successor[views.state[rows]]]
+    settled = torch.zeros_like(goes_on).index_put((rows,), one_label(views.picture[rows], after))
     telling = settled & views.shows_actor if (settled & views.shows_actor).any() else settled
     best = views.visibility == views.visibility[telling].max() if telling.any() else telling
     several &= goes_on

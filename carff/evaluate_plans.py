@@ -1,11 +1,11 @@
 """The planning part of the report: open-loop decisions from single pictures (CARFF Table 3), and how long one takes.
 
 A *hazard* picture comes from a hazardous state and fits a state without hazard as well: the danger is hidden. Data in
-which nothing is hidden is tried on pictures that show the danger, and says so. A *clear* picture fits no hazardous
-state. The flag speaks of the present state, a forecast of the next one: states whose flag changes with the next step
-have no single right answer and are left out. Pictures are the ego's own, of test cameras first, and no camera comes
-twice before every one has come once; only where the ego has fewer than ten different ones do other cameras fill up.
-Every trial draws its own futures; with n of them it uses its first n.
+which nothing is hidden is tried on pictures that show the danger, and says so. A *clear* picture fits no state that is
+or turns hazardous. The flag speaks of the present state, a forecast of the next one: states whose flag changes with the
+next step have no single right answer and are left out. Pictures are the ego's own, of test cameras first, and no camera
+comes twice before every one has come once; only where the ego has fewer than ten different ones do other cameras fill
+up. Every trial draws its own futures; with n of them it uses its first n.
 """
 
 import statistics
@@ -98,6 +98,7 @@ def picture_kinds(evaluation: EvaluationData) -> tuple[Bool[Tensor, " n"], Bool[
     successor = evaluation.table.successor
     goes_on = successor >= 0
     steady = (goes_on & (hazard == hazard[successor]))[views.state]
+    unsafe = hazard | (goes_on & hazard[successor])
     picture_count = int(views.picture.max()) + 1
 
     def occurs(state_kind: Bool[Tensor, " states"]) -> Bool[Tensor, " n"]:
@@ -106,7 +107,7 @@ def picture_kinds(evaluation: EvaluationData) -> tuple[Bool[Tensor, " n"], Bool[
         return seen[views.picture]
 
     danger = steady & hazard[views.state]
-    return danger & occurs(~hazard & goes_on), danger & ~occurs(~hazard), steady & ~occurs(hazard)
+    return danger & occurs(~hazard & goes_on), danger & ~occurs(~hazard), steady & ~occurs(unsafe)
 
 
 def spread(views: Views, kind: Bool[Tensor, " n"], count: int, generator: torch.Generator) -> Int[Tensor, " k"]:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from carff.beliefs import reparameterise
 from carff.charts import confusion_heatmap
-from carff.evaluation_data import EvaluationData, Part, Views
+from carff.evaluation_data import EvaluationData, Part, one_label
 from carff.figure_style import png_bytes
 from carff.latent_metrics import subset_accuracy
 from carff.probe import UNKNOWN
@@ -22,7 +22,8 @@ from carff.probe import UNKNOWN
 def evaluate_probe(evaluation: EvaluationData) -> Part:
     """Returns the accuracy of the probe and its confusion matrix."""
     same = evaluation.same_boxes
-    views = evaluation.views.select(settled(evaluation.views, same))
+    everything = evaluation.views
+    views = everything.select(one_label(everything.picture, same[everything.state]))
     if len(views) == 0:
         reason = "no picture settles where the actors stand: there is nothing to compare the probe's answers with"
         return Part({}, {}, {"probe": reason, "probe_confusion": reason})
@@ -49,15 +50,6 @@ def evaluate_probe(evaluation: EvaluationData) -> Part:
     title = f"State read from the density, {len(views)} views"
     figure = confusion_heatmap(counts, names, [*names, "unknown"], title)
     return Part({"probe": results}, {"probe_confusion": png_bytes(figure)}, {})
-
-
-def settled(views: Views, same_boxes: Int[Tensor, " states"]) -> Bool[Tensor, " n"]:
-    """Returns which views' pictures occur only in states with the same occupied boxes."""
-    boxes = same_boxes[views.state]
-    size = int(views.picture.max()) + 1
-    low = torch.full((size,), len(same_boxes)).scatter_reduce(0, views.picture, boxes, "amin")
-    high = torch.full((size,), -1).scatter_reduce(0, views.picture, boxes, "amax")
-    return (low == high)[views.picture]
 
 
 def confusion(

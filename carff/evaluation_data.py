@@ -155,6 +155,14 @@ def first_equal(rows: Bool[Tensor, "n m"]) -> Int[Tensor, " n"]:
     return (rows[:, None] == rows[None]).all(dim=-1).float().argmax(dim=1)
 
 
+def one_label(picture: Int[Tensor, " n"], label: Int[Tensor, " n"]) -> Bool[Tensor, " n"]:
+    """Returns for each row whether its picture comes with one label only."""
+    size = int(picture.max()) + 1 if len(picture) else 0
+    low = torch.full((size,), int(label.max()) + 1 if len(label) else 0).scatter_reduce(0, picture, label, "amin")
+    high = torch.full((size,), -1).scatter_reduce(0, picture, label, "amax")
+    return (low == high)[picture]
+
+
 def actor_visible(table: StateTable) -> Bool[Tensor, "states cameras"]:
     """Returns where at least one pixel of an actor other than the ego's own body is visible."""
     others = [number for number, name in enumerate(table.actor_names) if name != EGO]

@@ -75,6 +75,7 @@ def pcvae_tables(results: Mapping) -> list[Table]:
     note = "RBF support vector machine on standardised belief means, C = 1, 10-fold, equal pictures kept in one fold."
     more = (
         ("psnr_train_db", "PSNR, training views", "dB"),
+        ("psnr_train_of_mean_mse_db", "PSNR of the mean squared error, training views", "dB"),
         ("psnr_heldout_db", "PSNR, held-out input cameras", "dB"),
         ("changed_px_db", "PSNR, changed pixels only", "dB"),
         ("psnr_mean_image_db", "PSNR of each camera's mean picture (a free baseline)", "dB"),

@@ -66,6 +66,20 @@ def test_both_kinds_are_drawn_or_excused(tiny_evaluation):
     assert set(evaluate_futures(hidden).not_run) == {"futures_clear"}
 
 
+def test_a_picture_shared_with_a_last_step_still_settles_what_comes_next(tiny_evaluation):
+    views = tiny_evaluation.views
+    # As if nothing moved in the absent branch: both its steps give the same picture, and only the first goes on.
+    picture = views.picture.clone()
+    for camera in range(1, 4):
+        at = [row_of(tiny_evaluation, state, camera) for state in (0, 1)]
+        picture[at[1]] = picture[at[0]]
+    still = replace(
+        views, picture=picture, determined=views.determined & (views.state > 1), shows_actor=views.ego & False
+    )
+    only = replace(tiny_evaluation, views=still.select(still.state < 2))
+    assert set(evaluate_futures(only).figures) >= {"futures_clear"}
+
+
 def test_truth_is_shrunk_to_what_is_rendered(monkeypatch):
     monkeypatch.setattr(futures_part, "SHOWN_WIDTH", 4)
     pictures = np.zeros((2, 4, 8, 3), dtype=np.uint8)

@@ -37,6 +37,13 @@ def test_states_whose_flag_changes_with_the_next_step_are_left_out(tiny_evaluati
     assert [places(tiny_evaluation, kind) & {(0, 1), (0, 2), (0, 3)} for kind in kinds] == [set(), set(), set()]
 
 
+def test_a_picture_that_fits_a_state_which_turns_hazardous_is_not_clear(tiny_evaluation):
+    # State 2 (now safe) turns hazardous; state 0 at camera 0 gives the same picture and stays safe.
+    turning = with_hazard(tiny_evaluation, False, False, False, True)
+    _, _, clear = picture_kinds(turning)
+    assert places(turning, clear) == {(0, 1), (0, 2), (0, 3)}
+
+
 def test_a_picture_that_only_a_last_step_shares_is_neither_hidden_nor_shown(tiny_evaluation):
     views = tiny_evaluation.views
     # State 2 at camera 0 looks like the last absent step (1) now, and like nothing else.

@@ -14,6 +14,7 @@ from carff.evaluation_data import (
     first_equal,
     load_evaluation_data,
     main_actor,
+    one_label,
     visibility_class,
 )
 from carff.states import build_state_table
@@ -97,6 +98,13 @@ def test_states_with_equal_boxes_share_their_vote(tiny_evaluation):
 def test_first_equal_row():
     rows = torch.tensor([[True, False], [False, False], [True, False], [False, False], [True, True]])
     assert first_equal(rows).tolist() == [0, 1, 0, 1, 4]
+
+
+def test_pictures_with_one_label():
+    picture, label = torch.tensor([4, 4, 7, 7, 0]), torch.tensor([2, 3, 5, 5, 9])
+    assert one_label(picture, label).tolist() == [False, False, True, True, True]
+    none = torch.zeros(0, dtype=torch.int64)
+    assert one_label(none, none).shape == (0,)
 
 
 def test_a_missing_picture_is_grey(tiny_evaluation):
