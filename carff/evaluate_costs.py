@@ -27,7 +27,10 @@ def evaluate_closed_loop(evaluation: EvaluationData) -> Part:
         return Part({}, {}, {"closed_loop": recorded.reason or "no episode was driven"})
     policies = closed_loop_results(recorded.episodes)
     figures = {"closed_loop": png_bytes(closed_loop_chart(policies))}
-    return Part({"closed_loop": policies, "closed_loop_settings": recorded.about}, figures)
+    reasons = {}
+    if policies.get("risk", {}).get("needless_stop_rate", 0.0) is None:
+        reasons["closed_loop.risk.needless_stop_rate"] = "every episode met another actor; drive more episodes"
+    return Part({"closed_loop": policies, "closed_loop_settings": recorded.about}, figures, reasons)
 
 
 def evaluate_costs(evaluation: EvaluationData, own_seconds: float) -> Part:

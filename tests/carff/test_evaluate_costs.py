@@ -30,6 +30,12 @@ def test_episodes_are_read_from_the_run_folder(tiny_evaluation):
     assert set(part.figures) == {"closed_loop"}
 
 
+def test_episodes_that_all_met_another_actor_leave_needless_stops_open(tiny_evaluation):
+    evaluation = in_a_world(tiny_evaluation)
+    save_closed_loop(evaluation.config.folder, [Episode("risk", 1, True, True, False, False, None, 3)], {})
+    assert "drive more episodes" in evaluate_closed_loop(evaluation).not_run["closed_loop.risk.needless_stop_rate"]
+
+
 def test_a_world_that_cannot_be_driven_in_gives_its_reason(tiny_evaluation):
     evaluation = in_a_world(tiny_evaluation)
     save_closed_loop(evaluation.config.folder, [], {}, "the ego stands still")
