@@ -125,6 +125,8 @@ def test_ctrl_c_with_workers_ends_with_one_line_and_no_data(tmp_path):
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        # A test run started in the background ignores Ctrl-C and hands that down; a terminal does not.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     deadline = time.monotonic() + 90
     while not list(tmp_path.glob(".data.*/images/*.png")) and time.monotonic() < deadline:
