@@ -81,12 +81,16 @@ def run_nerf(config: CarffConfig) -> None:
     if more == 0 or torch.equal(views, held_out):
         return
     load_model(config.folder / "nerf", lambda _: nerf, "scripts/train_nerf.py")
+    fit = config.nerf.fit
     settled = replace(
         config.nerf,
         fresh_start=0.0,
         fresh_end=0.0,
         fit=replace(
-            config.nerf.fit, learning_rate=config.nerf.fit.final_learning_rate * 2, seed=config.nerf.fit.seed + 1
+            fit,
+            learning_rate=fit.learning_rate * fit.final_share * 2,
+            network_learning_rate=fit.network_learning_rate * fit.final_share * 2,
+            seed=fit.seed + 1,
         ),
     )
     train_nerf(settled, nerf, data, views, config.folder / "nerf_birds_eye", record, more, fabric, config.overwrite)

@@ -32,9 +32,11 @@ class FitConfig:
     """How a radiance field is trained."""
 
     learning_rate: float = 0.02
-    """Adam's step at the start."""
-    final_learning_rate: float = 0.002
-    """Adam's step at the end, reached exponentially."""
+    """Adam's step at the start for the hash table and the background."""
+    network_learning_rate: float = 0.004
+    """Adam's step at the start for the networks; much larger ones are unstable."""
+    final_share: float = 0.1
+    """Share of both steps that is left at the end, reached exponentially."""
     loss: Literal["mse", "huber"] = "huber"
     """Colour error: squared, or squared up to 0.1 and linear beyond."""
     average_decay: float = 0.95
@@ -53,7 +55,7 @@ class FitConfig:
     """Seed of everything random in the fit."""
 
     def __post_init__(self):
-        for name in ("learning_rate", "final_learning_rate"):
+        for name in ("learning_rate", "network_learning_rate", "final_share"):
             if not 0 < getattr(self, name) < math.inf:
                 raise UserError(f"fit.{name} is {getattr(self, name)}: use a positive number")
         for name in ("rays", "most_rays", "batch_samples", "occupancy_every", "log_every"):
@@ -142,7 +144,14 @@ class FieldFit:
         self.config, self.settings, self.total_steps = config, settings, total_steps
         self.fabric = fabric or Fabric(accelerator="cpu", devices=1)
         self.field, self.occupancy = field, occupancy.to(self.fabric.device)
-        optimizer = torch.optim.Adam(field.parameters(), config.learning_rate, (0.9, 0.99), eps=1e-15, fused=True)
+        networks = [*field.density_network.parameters(), *field.colour_network.parameters()]
+        # the background must learn at once: what it cannot show yet appears as fog inside the box
+        quick = [field.hash_grid.table, *field.background_layer.parameters()]
+        groups = [
+            {"params": quick, "start": config.learning_rate},
+            {"params": networks, "start": config.network_learning_rate},
+        ]
+        optimizer = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
         self.loss, self.optimizer = self.fabric.setup(_Loss(field, config.loss), optimizer)
         self.average = WeightAverage(field, config.average_decay)
         self.finite = FiniteSteps()
@@ -186,9 +195,8 @@ class FieldFit:
     def step(self, step: int, batch: RayBatch, generator: torch.Generator | None) -> dict[str, float]:
         """Take one optimiser step (or skip it if anything is not finite) and return metrics over all processes."""
         progress = min(step / max(self.total_steps, 1), 1.0)
-        decay = self.config.final_learning_rate / self.config.learning_rate
         for group in self.optimizer.param_groups:
-            group["lr"] = self.config.learning_rate * decay**progress
+            group["lr"] = group["start"] * self.config.final_share**progress
         self.optimizer.zero_grad()
         loss, squared, samples = self.loss(batch, self.occupancy, self.settings, generator)
         self.fabric.backward(loss)

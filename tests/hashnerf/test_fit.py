@@ -43,7 +43,7 @@ def weights(fit):
 
 def test_a_condition_switches_the_ball():
     pictures, unseen = Pictures(ring_of_cameras(30, 32)), Pictures(ring_of_cameras(5, 32, turn=0.05))
-    config = FitConfig(rays=512, batch_samples=8192)
+    config = FitConfig(rays=512, batch_samples=8192, network_learning_rate=0.01)
     fit = build(config, steps=150)
     for step in range(150):
         if step % config.occupancy_every == 0:
@@ -113,10 +113,12 @@ def test_table_entries_that_no_ray_touches_stay_as_they_are(pictures):
 
 
 def test_the_learning_rate_depends_on_the_step_alone(pictures):
-    fit = build(dataclasses.replace(CONFIG, learning_rate=0.1, final_learning_rate=0.001), steps=100)
+    fit = build(dataclasses.replace(CONFIG, learning_rate=0.1, network_learning_rate=0.2, final_share=0.01), steps=100)
     for step, expected in ((0, 0.1), (50, 0.01), (100, 0.001), (400, 0.001)):
         fit.step(step, pictures.draw(step, 8, fit.generator(step)), None)
-        assert fit.optimizer.param_groups[0]["lr"] == pytest.approx(expected)
+        quick, networks = (group["lr"] for group in fit.optimizer.param_groups)
+        assert quick == pytest.approx(expected)
+        assert networks == pytest.approx(2 * expected)
 
 
 def test_rays_adapt_to_the_samples_wanted(pictures):
@@ -241,7 +243,7 @@ def test_two_processes_equal_one_on_the_joined_batch(tmp_path):
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("learning_rate", 0.0), ("final_learning_rate", math.nan), ("rays", 0), ("batch_samples", 0), ("log_every", 0)],
+    [("learning_rate", 0.0), ("final_share", math.nan), ("rays", 0), ("batch_samples", 0), ("log_every", 0)],
 )
 def test_impossible_configs_name_the_key(key, value):
     with pytest.raises(UserError, match=f"fit.{key} is"):
