@@ -21,12 +21,13 @@ def jitter_pictures(
 
     zoom = 1 + 0.08 * uniform(n)
     shift = 0.12 * uniform(n, 2)  # the sampling grid spans 2, so 0.12 is 6 % of the width
-    affine = torch.zeros(n, 2, 3, device=pictures.device)
-    affine[:, 0, 0] = zoom
-    affine[:, 1, 1] = zoom
-    affine[:, :, 2] = shift
-    grid = F.affine_grid(affine, list(pictures.shape), align_corners=False)
-    moved = F.grid_sample(pictures, grid, padding_mode="border", align_corners=False)
+    # a zoom and a shift move rows and columns apart from each other: no matrix product per pixel
+    height, width = pictures.shape[2:]
+    column = (2 * torch.arange(width, device=pictures.device) + 1) / width - 1
+    row = (2 * torch.arange(height, device=pictures.device) + 1) / height - 1
+    x = (zoom[:, None] * column + shift[:, :1])[:, None, :].expand(n, height, width)
+    y = (zoom[:, None] * row + shift[:, 1:])[:, :, None].expand(n, height, width)
+    moved = F.grid_sample(pictures, torch.stack([x, y], dim=-1), padding_mode="border", align_corners=False)
     contrast = 1 + 0.15 * uniform(n, 1, 1, 1) + 0.05 * uniform(n, 3, 1, 1)
     brightness = 0.1 * uniform(n, 1, 1, 1)
     return torch.addcmul(0.5 - 0.5 * contrast + brightness, moved, contrast).clamp_(0, 1)

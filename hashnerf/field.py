@@ -32,8 +32,9 @@ class FieldConfig:
     """Each level stores at most 2 to this power vertices; vertices beyond share entries."""
     base_resolution: int = 16
     """Cells along the longest side of the scene box at the coarsest level."""
-    finest_resolution: int = 512
-    """Cells along the longest side of the scene box at the finest level."""
+    finest_resolution: int = 192
+    """Cells along the longest side of the scene box at the finest level; cells much finer than a pixel's footprint only
+    add speckle."""
     hidden_width: int = 64
     """Units of every hidden layer."""
     density_layers: int = 1

@@ -8,7 +8,7 @@ alone, so that nothing random needs saving.
 import hashlib
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -31,9 +31,9 @@ from hashnerf.weight_average import WeightAverage
 class FitConfig:
     """How a radiance field is trained."""
 
-    learning_rate: float = 0.02
-    """Adam's step at the start for the hash table and the background."""
-    network_learning_rate: float = 0.004
+    learning_rate: float = 0.1
+    """Adam's step at the start for the hash table and the background; a small one leaves fog for long."""
+    network_learning_rate: float = 0.006
     """Adam's step at the start for the networks; much larger ones are unstable."""
     final_share: float = 0.1
     """Share of both steps that is left at the end, reached exponentially."""
@@ -47,6 +47,9 @@ class FitConfig:
     """Most rays of a step."""
     batch_samples: int = 1 << 15
     """Samples a step should have: the number of rays adapts to it."""
+    first_samples_per_opacity: float = 1.5
+    """`march.samples_per_opacity` of the first step; it grows geometrically to the march's own. While all is fog many
+    rays teach more than many samples a ray; thin surfaces need the samples."""
     occupancy_every: int = 16
     """Steps between updates of the occupancy grid."""
     log_every: int = 20
@@ -55,7 +58,7 @@ class FitConfig:
     """Seed of everything random in the fit."""
 
     def __post_init__(self):
-        for name in ("learning_rate", "network_learning_rate", "final_share"):
+        for name in ("learning_rate", "network_learning_rate", "final_share", "first_samples_per_opacity"):
             if not 0 < getattr(self, name) < math.inf:
                 raise UserError(f"fit.{name} is {getattr(self, name)}: use a positive number")
         for name in ("rays", "most_rays", "batch_samples", "occupancy_every", "log_every"):
@@ -192,13 +195,17 @@ class FieldFit:
         """Refresh the occupancy grid for a bank of conditions."""
         self.occupancy.update(lambda positions: self.field.density_bank(positions, conditions))
 
+    def _march_settings(self, progress: float) -> MarchSettings:
+        first, last = self.config.first_samples_per_opacity, self.settings.samples_per_opacity
+        return replace(self.settings, samples_per_opacity=first * (last / first) ** progress)
+
     def step(self, step: int, batch: RayBatch, generator: torch.Generator | None) -> dict[str, float]:
         """Take one optimiser step (or skip it if anything is not finite) and return metrics over all processes."""
         progress = min(step / max(self.total_steps, 1), 1.0)
         for group in self.optimizer.param_groups:
             group["lr"] = group["start"] * self.config.final_share**progress
         self.optimizer.zero_grad()
-        loss, squared, samples = self.loss(batch, self.occupancy, self.settings, generator)
+        loss, squared, samples = self.loss(batch, self.occupancy, self._march_settings(progress), generator)
         self.fabric.backward(loss)
         gradient = torch.nn.utils.get_total_norm([p.grad for p in self.field.parameters() if p.grad is not None])
         numbers = torch.stack([loss.detach(), squared, loss.new_tensor(samples), loss.new_tensor(len(batch.rays))])

@@ -16,6 +16,7 @@ from hashnerf.occupancy import OccupancyGrid
 from hashnerf.ray_box import intersect_box
 from hashnerf.rays import Rays
 
+MOST_HIDDEN = 1.0  # optical thickness an interval is trusted to have: a ray may pass beside what fills half a cell
 FLOOR = 0.5  # opacity added to all occupied intervals of a ray together, so that none is ever left out
 
 
@@ -23,15 +24,15 @@ FLOOR = 0.5  # opacity added to all occupied intervals of a ray together, so tha
 class MarchSettings:
     """How rays are sampled."""
 
-    candidates: int = 128
+    candidates: int = 96
     """Positions tried along a ray between entering and leaving the scene box."""
     even_distance: float = 20.0
     """Up to about this distance (m) positions are evenly spaced, beyond it the spacing grows with distance."""
     near: float = 0.05
     """Nothing closer to the camera than this (m) is sampled."""
-    samples: int = 32
+    samples: int = 48
     """Most samples of a ray, drawn where opacity is expected; 0 takes every occupied candidate instead."""
-    samples_per_opacity: float = 4.0
+    samples_per_opacity: float = 6.0
     """Samples for each interval expected to be opaque."""
     stop_transmittance: float = 1e-3
     """A ray ends where cells known opaque in every condition leave less light than this; 0 never ends it."""
@@ -89,20 +90,21 @@ def march(
     # resampling draws again within each interval, so there the look-up needs no more than one number a ray
     shift = _uniform(dt if not settings.samples else dt[:, :1], generator)
     t = torch.addcmul(start, dt, shift)
-    highest, lowest = occupancy.densities_along(rays, t)
+    highest, lowest, usual = occupancy.densities_along(rays, t)
     mask = (highest > 0) & (hit & (far > near))[:, None]
     if bool(lowest.any()):
         thickness = lowest.mul_(dt)
-        before = torch.cumsum(thickness, dim=1).sub_(
-            thickness
-        )  # rounding here moves a ray's end by nothing that counts
+        # exclusive by subtraction: rounding moves a ray's end by nothing that counts
+        before = torch.cumsum(thickness, dim=1).sub_(thickness)
     else:
         before = torch.zeros_like(dt)
     if settings.stop_transmittance > 0:
         mask &= before <= -math.log(settings.stop_transmittance)
     if not settings.samples:
         return _compact(t, dt, mask)
-    expected = torch.expm1(highest.mul_(dt).neg_()).neg_().mul_(torch.exp(before.neg_()))
+    hidden = usual.mul_(dt).clamp_(max=MOST_HIDDEN)
+    hidden = torch.cumsum(hidden, dim=1).sub_(hidden)
+    expected = torch.expm1(highest.mul_(dt).neg_()).neg_().mul_(torch.exp(hidden.neg_()))
     return _resample(start, dt, expected, mask, settings, generator)
 
 

@@ -1,9 +1,10 @@
 """Which parts of the scene box are worth sampling, in any of the states a field can be conditioned on.
 
-Notation: thickness = density * cell edge, the optical thickness of crossing a cell, bounded by `MAX_THICKNESS`. Two
-numbers a cell: `maximum` over a bank of conditions (a cell that is empty in every condition is skipped) and `minimum`
-over the bank (a ray ends behind cells that are opaque in every condition). The maximum rises at once and decays slowly;
-the minimum falls at once and rises slowly: both errors then cost time, not geometry.
+Notation: thickness = density * cell edge, the optical thickness of crossing a cell, bounded by `MAX_THICKNESS`. Three
+numbers a cell: `maximum` over a bank of conditions (a cell that is empty in every condition is skipped), `minimum` over
+the bank (a ray ends behind cells that are opaque in every condition) and `usual`, the mean over the cell in the emptiest
+condition (a guess at the light that is left behind it). The maximum rises at once and decays slowly; the minimum falls
+at once and rises slowly: both errors then cost time, not geometry.
 """
 
 import logging
@@ -23,6 +24,7 @@ MAX_THICKNESS = 10.0  # exp(-10): opaque. A bounded spike decays below the thres
 # Additive recurrence: consecutive points fill a cell evenly, so a thin pole is soon met. The powers of the plastic
 # number fill the plane best, and most poles stand upright; the golden ratio goes well with them in height.
 SEQUENCE = (1 / 1.324717957244746, 1 / 1.324717957244746**2, 2 / (1 + math.sqrt(5)))
+USUAL_SHARE = 0.3  # of a new visit in the running mean: a visit tries only a few points
 CHUNK = 1 << 17  # positions evaluated at once
 
 
@@ -34,7 +36,7 @@ class OccupancyConfig:
     """Largest edge of a cell, metres."""
     threshold: float = 0.01
     """A cell whose optical thickness stays below this in every condition is skipped."""
-    decay: float = 0.95
+    decay: float = 0.8
     """Factor on the remembered maximum at each update of a cell."""
     points: int = 2
     """Positions tried in a cell at each update."""
@@ -69,6 +71,7 @@ class OccupancyGrid(nn.Module):
         self.register_buffer("inverse_edges", (1 / edges).float(), persistent=False)
         self.register_buffer("maximum", torch.zeros(cells))
         self.register_buffer("minimum", torch.zeros(cells))
+        self.register_buffer("usual", torch.zeros(cells))
         self.register_buffer("updates", torch.zeros((), dtype=torch.int64))
         self.register_buffer("rejected", torch.zeros((), dtype=torch.int64))
         self.warned = False
@@ -88,14 +91,14 @@ class OccupancyGrid(nn.Module):
 
     def densities_along(
         self, rays: Rays, t: Float[Tensor, "rays places"]
-    ) -> tuple[Float[Tensor, "rays places"], Float[Tensor, "rays places"]]:
-        """Greatest density of the cells at distances t along rays over the bank (1/m; 0 = skip) and the smallest."""
+    ) -> tuple[Float[Tensor, "rays places"], Float[Tensor, "rays places"], Float[Tensor, "rays places"]]:
+        """Densities (1/m) of the cells at distances t along rays: greatest (0 = skip), smallest and usual."""
         origin = (rays.origins - self.box[0]) * self.inverse_edges
         step = rays.directions * self.inverse_edges
         axes = [torch.addcmul(o[:, None], s[:, None], t) for o, s in zip(origin.unbind(dim=1), step.unbind(dim=1))]
         index = self._index(axes).view(-1)
-        highest, lowest = (table.index_select(0, index).view(t.shape) for table in self.densities())
-        return highest, lowest
+        highest, lowest, usual = (table.index_select(0, index).view(t.shape) for table in self.densities())
+        return highest, lowest, usual
 
     def occupied(self) -> Bool[Tensor, " cells"]:
         """Which cells rays must sample: all during the warm-up, and all with a warning if nothing is left."""
@@ -109,12 +112,12 @@ class OccupancyGrid(nn.Module):
             return torch.ones_like(occupied)
         return occupied
 
-    def densities(self) -> tuple[Float[Tensor, " cells"], Float[Tensor, " cells"]]:
-        """Greatest density of each cell over the bank (1/m; 0 = skip, never 0 where occupied) and the smallest."""
+    def densities(self) -> tuple[Float[Tensor, " cells"], Float[Tensor, " cells"], Float[Tensor, " cells"]]:
+        """Densities of each cell (1/m): greatest over the bank (0 = skip, never 0 where occupied), smallest, usual."""
         least = self.config.threshold  # an occupied cell of unknown or faded density still gets its share of samples
         highest = torch.where(self.occupied(), self.maximum.clamp(min=least), 0.0)
         lowest = self.minimum if int(self.updates) >= self.config.warmup else torch.zeros_like(self.minimum)
-        return highest / self.edge, lowest / self.edge
+        return highest / self.edge, lowest / self.edge, self.usual / self.edge
 
     def occupied_fraction(self) -> float:
         """Share of the cells that rays sample."""
@@ -141,16 +144,21 @@ class OccupancyGrid(nn.Module):
         highest = torch.zeros(len(cells), device=cells.device)
         lowest = torch.full_like(highest, MAX_THICKNESS)
         finite = torch.ones_like(cells, dtype=torch.bool)
+        total: Tensor | float = 0.0
         for point in range(self.config.points):
             thickness = density_bank(self._points(cells, visit * self.config.points + point)).float() * self.edge
             finite &= thickness.isfinite().all(dim=0)
             highest = torch.maximum(highest, thickness.amax(dim=0))
             lowest = torch.minimum(lowest, thickness.amin(dim=0))
+            total = total + thickness.clamp(max=MAX_THICKNESS)
         old_maximum, old_minimum = self.maximum[cells], self.minimum[cells]
         maximum = torch.maximum(old_maximum * self.config.decay, highest.clamp(max=MAX_THICKNESS))
         minimum = torch.minimum(lowest, (old_minimum + lowest) / 2)
         self.maximum[cells] = torch.where(finite, maximum, old_maximum)
         self.minimum[cells] = torch.where(finite, minimum, old_minimum)
+        old_usual = self.usual[cells]
+        usual = old_usual + USUAL_SHARE * ((total / self.config.points).amin(dim=0) - old_usual)
+        self.usual[cells] = torch.where(finite, usual, old_usual)
         self.rejected += (~finite).sum()
 
     def _points(self, cells: Tensor, number: int) -> Float[Tensor, "p 3"]:

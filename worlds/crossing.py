@@ -59,7 +59,9 @@ def crossing_rig(
     """56 cameras on the ego's lane, 43 on a ring, one bird's-eye at `above`."""
     bodies = [x - AREA[0] for x in ego_x]
     poses = lane_poses(EGO_ROUTE, bodies, EGO_SIZE, (start - AREA[0], LINE + 0.5), EGO_CAMERAS, mount, rng)
-    poses += ring_poses(ELEVATED_CAMERAS, (-8.0, 4.0), (-9.0, 5.0, 0.5), (17.0, 24.0), (9.5, 14.0), rng)
+    # the ring stands around what the bird's-eye sees: ground that only a few pixels cross is never reconstructed
+    centre = (above[0], above[1])
+    poses += ring_poses(ELEVATED_CAMERAS, centre, (*centre, 0.5), (20.0, 30.0), (13.0, 22.0), rng)
     poses.append(look_at(above, (above[0], above[1], 0.0), (1.0, 0.0, 0.0)))
     kinds = ("ego",) * EGO_CAMERAS + ("elevated",) * ELEVATED_CAMERAS + ("birds_eye",)
     fields = [mount.field_of_view] * EGO_CAMERAS + [68.0] * ELEVATED_CAMERAS + [52.0]
