@@ -27,6 +27,9 @@ LINE = RAMP_LENGTH - 0.4
 """Arc length of the yield line on the ego's route."""
 EGO_CAMERAS, ELEVATED_CAMERAS = 56, 43
 
+ABOVE = (-10.5, -8.5)
+"""Place over which the bird's-eye hangs."""
+
 
 @dataclass(frozen=True)
 class TwoLaneMergeConfig:
@@ -123,8 +126,9 @@ def _rig(config: TwoLaneMergeConfig, ego: Route, mount: Mount, rng: np.random.Ge
     """56 cameras on the ego's lane, 43 on a ring, one bird's-eye."""
     bodies = [config.ego_start + config.ego_step * step for step in range(STEPS)]
     poses = lane_poses(ego, bodies, EGO_SIZE, (0.5, LINE + 0.8), EGO_CAMERAS, mount, rng)
-    poses += ring_poses(ELEVATED_CAMERAS, (-7.0, -6.0), (-8.0, -4.0, 0.5), (17.0, 22.0), (9.0, 14.0), rng)
-    poses.append(look_at((-10.5, -8.5, 47.0), (-10.5, -8.5, 0.0), (0.0, 1.0, 0.0)))
+    # the ring stands around what the bird's-eye sees
+    poses += ring_poses(ELEVATED_CAMERAS, ABOVE, (*ABOVE, 0.5), (21.0, 31.0), (13.0, 22.0), rng)
+    poses.append(look_at((*ABOVE, 47.0), (*ABOVE, 0.0), (0.0, 1.0, 0.0)))
     kinds = ("ego",) * EGO_CAMERAS + ("elevated",) * ELEVATED_CAMERAS + ("birds_eye",)
     fields = [mount.field_of_view] * EGO_CAMERAS + [72.0] * ELEVATED_CAMERAS + [56.0]
     splits = interleaved_splits(kinds, config.splits.test_every, config.splits.birds_eye)
