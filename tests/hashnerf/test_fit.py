@@ -121,6 +121,17 @@ def test_the_learning_rate_depends_on_the_step_alone(pictures):
         assert networks == pytest.approx(2 * expected)
 
 
+def test_samples_a_ray_grow_with_the_step(pictures):
+    fit = build(dataclasses.replace(CONFIG, first_samples_per_opacity=0.5), steps=100)
+    for _ in range(8):
+        fit.update_occupancy(BANK)
+    batch = pictures.draw(0, 256, fit.generator(0))
+    counts = [fit.step(step, batch, fit.generator(0))["samples"] for step in (0, 50, 100, 400)]
+    assert counts[0] * 1.5 < counts[1]
+    assert counts[1] * 1.2 < counts[2]
+    assert counts[3] == pytest.approx(counts[2], rel=0.05)
+
+
 def test_rays_adapt_to_the_samples_wanted(pictures):
     fit = build()
     assert fit.rays_wanted() == 256

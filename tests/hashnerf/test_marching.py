@@ -164,6 +164,21 @@ def test_resampling_puts_samples_where_opacity_is_expected():
     assert samples.dt.sum().item() == pytest.approx(0.6, abs=0.25)
 
 
+def test_samples_are_spent_on_what_may_be_seen():
+    # thin walls, so that no cell is opaque throughout and no ray ends early
+    front, back = wall(-2.1, thick=0.2), wall(3.0)
+    hidden = grid_of(lambda p: front(p) + back(p), front)
+    open_in_one = grid_of(lambda p: front(p) + back(p), back)
+    settings = MarchSettings(candidates=64, samples=40, samples_per_opacity=8.0)
+
+    def share_behind(grid):
+        samples = march(along_x(200), grid, settings, torch.Generator().manual_seed(0))
+        return (samples.t[samples.mask] > 9.5).float().mean()
+
+    assert share_behind(hidden) < 0.5 * share_behind(open_in_one)
+    assert share_behind(hidden) > 0, "a guess: what is behind keeps a few samples"
+
+
 def test_samples_per_ray_are_capped():
     samples = march(along_x(5), everywhere(), MarchSettings(candidates=64, samples=7, samples_per_opacity=100.0))
     assert samples.mask.shape[1] <= 7

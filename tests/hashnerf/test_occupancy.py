@@ -55,6 +55,19 @@ def test_maximum_and_minimum_over_the_bank():
     assert grid.occupied().all()
 
 
+def test_the_usual_density_is_the_mean_of_the_emptiest_condition():
+    grid = OccupancyGrid(ALL_AT_ONCE, BOX)
+    low, high = grid.box
+    half = lambda p: torch.where((p - low)[:, 0] / (high - low)[0] * grid.shape[0] % 1 < 0.5, 4.0, 0.0)  # noqa: E731
+    seen = []
+    for _ in range(60):
+        grid.update(lambda p: torch.stack([half(p), torch.full((len(p),), 9.0)]))
+        seen.append(grid.usual.clone())
+    mean = torch.stack(seen[20:]).mean(dim=0)
+    assert torch.allclose(mean, torch.full_like(mean, 2.0 * grid.edge), rtol=0.15)
+    assert (grid.minimum < 2.0 * grid.edge).all()
+
+
 def test_one_nan_does_not_poison_a_cell():
     grid = OccupancyGrid(ALL_AT_ONCE, BOX)
     grid.update(constant(1.0))
