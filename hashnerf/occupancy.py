@@ -2,9 +2,9 @@
 
 Notation: thickness = density * cell edge, the optical thickness of crossing a cell, bounded by `MAX_THICKNESS`. Three
 numbers a cell: `maximum` over a bank of conditions (a cell that is empty in every condition is skipped), `minimum` over
-the bank (a ray ends behind cells that are opaque in every condition) and `usual`, the mean over the cell in the emptiest
-condition (a guess at the light that is left behind it). The maximum rises at once and decays slowly; the minimum falls
-at once and rises slowly: both errors then cost time, not geometry.
+the bank (a ray ends behind cells that are opaque in every condition) and `usual`, the mean over the cell in the
+emptiest condition (a guess at the light that is left behind it). The maximum rises at once and decays slowly; the
+minimum falls at once and rises slowly: both errors then cost time, not geometry.
 """
 
 import logging
@@ -36,7 +36,7 @@ class OccupancyConfig:
     """Largest edge of a cell, metres."""
     threshold: float = 0.01
     """A cell whose optical thickness stays below this in every condition is skipped."""
-    decay: float = 0.8
+    decay: float = 0.7
     """Factor on the remembered maximum at each update of a cell."""
     points: int = 2
     """Positions tried in a cell at each update."""
