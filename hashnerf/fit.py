@@ -45,7 +45,7 @@ class FitConfig:
     """Rays of the first step."""
     most_rays: int = 16384
     """Most rays of a step."""
-    batch_samples: int = 1 << 15
+    batch_samples: int = 1 << 16
     """Samples a step should have: the number of rays adapts to it."""
     first_samples_per_opacity: float = 1.5
     """`march.samples_per_opacity` of the first step; it grows geometrically to the march's own. While all is fog many

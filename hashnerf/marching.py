@@ -32,7 +32,7 @@ class MarchSettings:
     """Nothing closer to the camera than this (m) is sampled."""
     samples: int = 48
     """Most samples of a ray, drawn where opacity is expected; 0 takes every occupied candidate instead."""
-    samples_per_opacity: float = 6.0
+    samples_per_opacity: float = 8.0
     """Samples for each interval expected to be opaque."""
     stop_transmittance: float = 1e-3
     """A ray ends where cells known opaque in every condition leave less light than this; 0 never ends it."""
