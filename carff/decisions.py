@@ -1,10 +1,14 @@
-"""From pictures to decisions: encode, forecast n next states, probe them, apply the planner's rule."""
+"""From pictures to decisions: encode, forecast n next states, probe them, apply the planner's rule.
+
+A forecast knows no state beyond the last one of a branch: what it says there was never trained. A sampled present that
+is such a last state therefore stands for its own future.
+"""
 
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from carff.beliefs import Belief
+from carff.beliefs import Belief, sample_beliefs
 from carff.model import CarffModel
 from carff.planner import Decision, PlannerConfig, decide
 
@@ -18,6 +22,17 @@ def sample_next_scores(
     return model.probe_scores(latents.flatten(0, 1)).reshape(len(belief), n, -1)
 
 
+@torch.no_grad()
+def sample_scores_ahead(
+    model: CarffModel, belief: Belief, n: int, generator: torch.Generator
+) -> Float[Tensor, "beliefs {n} boxes"]:
+    """Returns how occupied every box is in `n` sampled scenes to decide by: the next, or the present where it is last."""
+    ahead = sample_next_scores(model, belief, n, generator)
+    present = model.probe_scores(sample_beliefs(belief, n, generator).flatten(0, 1))
+    last = model.probe.agreed(present, (model.scene.successor < 0).long()) == 1
+    return torch.where(last[:, None], present, ahead.flatten(0, 1)).reshape(ahead.shape)
+
+
 def decide_from_pictures(
     model: CarffModel,
     pictures: UInt8[Tensor, "images h w 3"],
@@ -26,5 +41,5 @@ def decide_from_pictures(
     generator: torch.Generator,
 ) -> list[Decision]:
     """Returns one decision per picture, each from `n` sampled futures of its own."""
-    scores = sample_next_scores(model, model.encode(pictures), n, generator)
+    scores = sample_scores_ahead(model, model.encode(pictures), n, generator)
     return [decide(*model.hazards(row), planner) for row in scores]

@@ -2,7 +2,8 @@
 
 Only views whose state goes on are asked for a forecast. Equal pictures give equal beliefs, so each distinct picture is
 sampled once, `runs` times `draws` futures, and all its views share the answer. What may truly follow a picture is
-whatever follows one of the states that give it; how often each branch does is the share of its states among them.
+whatever follows one of the states that give it; how often each branch does is the share of its states among them,
+weighted by how often the branch happens.
 Branch probabilities are shares of the samples whose branch the probe could tell, even where it could not tell the very
 state; the rest is reported as unknown.
 """
@@ -72,10 +73,10 @@ def branch_results(
     evaluation: EvaluationData, views: Views, votes: Float[Tensor, "n draws branches"]
 ) -> tuple[dict, dict[str, bytes], dict[str, str]]:
     """Returns calibration figures of all views, of each split and of the ego's cameras, its chart, reasons for gaps."""
-    branches = len(evaluation.table.branch_names)
     probability, answered = branch_probability(votes)
     branch = evaluation.table.branch[views.state]
-    frequency = branch_frequency(views.picture.numpy(), branch.numpy(), branches)
+    weight = evaluation.table.branch_weight.numpy()
+    frequency = branch_frequency(views.picture.numpy(), branch.numpy(), weight)
     unknown = votes.sum(dim=-1) == 0
     results: dict = {
         "views": len(views),

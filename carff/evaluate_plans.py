@@ -18,7 +18,7 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 from carff.charts import planning_chart
-from carff.decisions import decide_from_pictures, sample_next_scores
+from carff.decisions import decide_from_pictures, sample_scores_ahead
 from carff.evaluation_data import EvaluationData, Part, Views
 from carff.figure_style import png_bytes
 from carff.model import CarffModel
@@ -130,7 +130,7 @@ def trial_decisions(
     """Returns for every rule and number of samples whether each trial goes."""
     trials, most = evaluation.config.evaluation.trials, max(SAMPLES)
     belief = evaluation.views.belief.select(pictures.view)
-    scores = sample_next_scores(evaluation.model, belief, trials * most, evaluation.generator(11))
+    scores = sample_scores_ahead(evaluation.model, belief, trials * most, evaluation.generator(11))
     hazard, unknown = evaluation.model.hazards(scores.flatten(0, 1))
     hazard, unknown = (flags.reshape(-1, most) for flags in (hazard, unknown))
     decisions = {}

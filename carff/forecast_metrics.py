@@ -83,15 +83,16 @@ def accuracy_recall_curves(
 
 
 def branch_frequency(
-    picture: Int[np.ndarray, " v"], branch: Int[np.ndarray, " v"], branches: int
+    picture: Int[np.ndarray, " v"], branch: Int[np.ndarray, " v"], weight: Float[np.ndarray, " branches"]
 ) -> Float[np.ndarray, "v branches"]:
     """The true frequency of every branch among the views that share a view's picture.
 
     `picture` holds one integer per distinct picture *of one camera*: equal pixels from two cameras are two pictures.
+    A view counts by the weight of its branch.
     """
     _, picture = np.unique(picture, return_inverse=True)
-    counts = np.zeros((picture.max(initial=-1) + 1, branches))
-    np.add.at(counts, (picture, branch), 1.0)
+    counts = np.zeros((picture.max(initial=-1) + 1, len(weight)))
+    np.add.at(counts, (picture, branch), weight[branch].astype(np.float64))
     return (counts / counts.sum(axis=1, keepdims=True))[picture]
 
 

@@ -102,7 +102,9 @@ def run_mdn(config: CarffConfig) -> None:
     pcvae, _ = load_pcvae(config, scene_info(data, table))
     beliefs = encode_views(pcvae, data, table.view_index("train"))
     mdn = build_mdn(config.mdn, pcvae.latent_size)
-    sampler = TransitionSampler(beliefs, table.successor, table.camera_poses, config.mdn.transitions, config.seed)
+    weight = table.branch_weight[table.branch]
+    poses = table.camera_poses
+    sampler = TransitionSampler(beliefs, table.successor, poses, config.mdn.transitions, config.seed, weight)
     train_mdn(config.mdn, mdn, sampler, config.folder / "mdn", _record(config, "mdn"), config.overwrite)
 
 

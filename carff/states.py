@@ -39,6 +39,8 @@ class StateTable:
     camera_poses: Float[Tensor, "cameras 4 4"]
     camera_kinds: tuple[str, ...]
     branch_names: tuple[str, ...]
+    branch_weight: Float[Tensor, " branches"]
+    """How often each branch happens; sums to 1."""
     hazard: Bool[Tensor, " states"] | None
     actor_names: tuple[str, ...]
     actors: tuple[tuple[ActorBox, ...], ...]
@@ -112,6 +114,7 @@ def build_state_table(posed: PosedImages) -> StateTable:
     actors = _actors(posed.extras, number, names)
     visible, unoccluded = _visibility(posed.extras, number, names, actors, cameras)
     branches = 1 + max(branch for branch, _ in states)
+    weight = torch.tensor(posed.extras.get("branch_weights") or [1.0] * branches)
     return StateTable(
         states=states,
         views=views,
@@ -120,6 +123,7 @@ def build_state_table(posed: PosedImages) -> StateTable:
         camera_poses=poses,
         camera_kinds=tuple((posed.extras.get("camera_kinds") or ["unknown"] * cameras)[:cameras]),
         branch_names=tuple(posed.extras.get("branches") or [f"branch {i}" for i in range(branches)]),
+        branch_weight=weight / weight.sum(),
         hazard=hazard,
         actor_names=names,
         actors=actors,

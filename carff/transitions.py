@@ -110,19 +110,24 @@ class TransitionSampler:
         poses: Float[Tensor, "cameras 4 4"],
         config: TransitionConfig,
         seed: int,
+        weight: Float[Tensor, " states"] | None = None,
     ):
-        """`successor` is the next state of each state, or -1 where the branch ends. Raises UserError without pairs."""
+        """`successor` is the next state of each state, or -1 where the branch ends. Raises UserError without pairs.
+
+        `weight` says how often views of each state are drawn, in proportion; all alike without it.
+        """
         require_latents(beliefs.means[beliefs.valid], "means of the encoded views")
         require_latents(beliefs.logvars[beliefs.valid], "log-variances of the encoded views")
         self.beliefs, self.successor, self.config, self.seed = beliefs, successor, config, seed
         self.neighbours = camera_neighbours(poses, beliefs.valid.any(dim=0))
         distinctness = view_distinctness(beliefs.means, beliefs.logvars, beliefs.valid)
         self.sources, self.log_probability = _pairs(beliefs.valid, distinctness, successor, self.neighbours, config)
+        self.weight = (torch.ones(len(successor)) if weight is None else weight)[self.sources[:, 0]]
 
     def batch(self, step: int, size: int) -> TransitionBatch:
         """Returns the `size` pairs of a training step, with noise on the source beliefs."""
         generator = torch.Generator().manual_seed((self.seed * 1_000_003 + step) % 2**63)
-        row = torch.randint(len(self.sources), (size,), generator=generator)
+        row = torch.multinomial(self.weight, size, replacement=True, generator=generator)
         source, target = self._beliefs(row, generator)
         low, high = self.config.noise_low, self.config.noise_high
         sigma = low + (high - low) * torch.rand(size, 1, generator=generator)

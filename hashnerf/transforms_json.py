@@ -128,7 +128,7 @@ def is_point(value: object) -> bool:
 
 def check_extras(document: dict, views: list[tuple[int, int, int]]) -> list[str]:
     """Every problem in the optional top-level keys, one line each; `views` holds each frame's branch, step, camera."""
-    checks = (_scene_box, _states, _names, _actors, _visibility, _world)
+    checks = (_scene_box, _states, _names, _branch_weights, _actors, _visibility, _world)
     return [problem for check in checks for problem in check(document, views)]
 
 
@@ -177,6 +177,17 @@ def _names(document: dict, views: list[tuple[int, int, int]]) -> Iterator[str]:
             yield f"{key} must be a list of names"
         elif len(names) < needed:
             yield f"{key} has {len(names)} names but the frames use the indices 0 to {needed - 1}"
+
+
+def _branch_weights(document: dict, views: list[tuple[int, int, int]]) -> Iterator[str]:
+    weights = document.get("branch_weights")
+    if weights is None:
+        return
+    needed = 1 + max((view[0] for view in views), default=0)
+    if not (isinstance(weights, list) and all(is_number(weight) and weight > 0 for weight in weights)):
+        yield "branch_weights must be a list of positive numbers"
+    elif len(weights) != needed:
+        yield f"branch_weights has {len(weights)} numbers but the frames use the branches 0 to {needed - 1}"
 
 
 def _actors(document: dict, views: list[tuple[int, int, int]]) -> Iterator[str]:

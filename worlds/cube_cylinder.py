@@ -16,6 +16,8 @@ from worlds.settings import SplitConfig
 from worlds.shading import Light
 
 BRANCHES = ("absent", "left", "right")
+WEIGHTS = (0.5, 0.25, 0.25)
+"""The cylinder is there or not, and goes left or right, with equal chance."""
 AREA = (-9.0, -9.0, 9.0, 9.0)
 SCENE_BOX = np.array([[-9.0, -9.0, -0.3], [9.0, 9.0, 3.0]])
 CUBE, RADIUS, HEIGHT = 2.0, 0.6, 1.7
@@ -64,6 +66,7 @@ def build_cube_cylinder(config: CubeCylinderConfig, seed: int) -> World:
         seed=seed,
         config=config,
         branches=BRANCHES,
+        branch_weights=WEIGHTS,
         static=(("plane", block((x0, y0, -0.2), (x1, y1, 0.0), PLANE)),),
         actors={
             "ego": Actor(block((-CUBE / 2, -CUBE / 2, 0.0), (CUBE / 2, CUBE / 2, CUBE), blue), (CUBE, CUBE, CUBE)),

@@ -63,6 +63,8 @@ class World:
     light: Light
     scene_box: Float[np.ndarray, "2 3"]
     rig: Rig
+    branch_weights: tuple[float, ...] | None = None
+    """How often each branch happens; alike if None."""
     mount: Mount | None = None
     """The ego's camera; None where nothing drives."""
     traffic: Traffic | None = None

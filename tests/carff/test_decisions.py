@@ -3,7 +3,7 @@
 import torch
 
 from carff.beliefs import Belief
-from carff.decisions import decide_from_pictures, sample_next_scores
+from carff.decisions import decide_from_pictures, sample_next_scores, sample_scores_ahead
 from carff.planner import PlannerConfig
 
 
@@ -25,6 +25,15 @@ def test_samples_are_next_states_and_equal_seeds_give_equal_ones(tiny_evaluation
     assert states.shape == (1, 400) and set(states.unique().tolist()) == {1, 3}
     assert 150 < int((states == 3).sum()) < 250  # one half, within 5 standard deviations of 10
     assert torch.equal(states, next_states(tiny_evaluation, hidden, 400))
+
+
+def test_the_last_state_is_its_own_future(tiny_evaluation):
+    views, model = tiny_evaluation.views, tiny_evaluation.model
+    for state, expected in ((0, {1}), (1, {1}), (2, {3}), (3, {3})):
+        belief = views.belief.select((views.camera == 1) & (views.state == state))
+        scores = sample_scores_ahead(model, belief, 20, generator())
+        assert scores.shape[:2] == (1, 20)
+        assert set(model.probe.classify(scores.flatten(0, 1)).tolist()) == expected
 
 
 def test_one_decision_per_picture(tiny_evaluation):

@@ -95,8 +95,11 @@ def test_recall_rises_and_all_correct_falls(seed, draws):
 
 def test_frequency_of_a_branch_is_its_share_among_equal_pictures():
     # Picture 5 is seen in branches 0 and 1, picture 9 in branch 1 alone, picture 2 in branches 0, 1, 1.
-    frequency = branch_frequency(np.array([5, 5, 9, 2, 2, 2]), np.array([0, 1, 1, 0, 1, 1]), 2)
+    frequency = branch_frequency(np.array([5, 5, 9, 2, 2, 2]), np.array([0, 1, 1, 0, 1, 1]), np.ones(2))
     np.testing.assert_allclose(frequency, [[0.5, 0.5]] * 2 + [[0, 1]] + [[1 / 3, 2 / 3]] * 3)
+    # Branch 0 happens twice as often: 2 : 1 in picture 5, 2 : 2 in picture 2.
+    frequency = branch_frequency(np.array([5, 5, 2, 2, 2]), np.array([0, 1, 0, 1, 1]), np.array([0.5, 0.25]))
+    np.testing.assert_allclose(frequency, [[2 / 3, 1 / 3]] * 2 + [[0.5, 0.5]] * 3)
 
 
 def test_calibration_by_hand():

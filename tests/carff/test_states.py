@@ -100,6 +100,12 @@ def test_names_hazards_and_boxes():
     assert table.actors == ((replace(box, name="ego"),), (box,))
 
 
+def test_branches_happen_alike_unless_weighed():
+    assert build_state_table(data_set(grid(2, 1, 1))).branch_weight.tolist() == [0.5, 0.5]
+    weighed = build_state_table(data_set(grid(3, 1, 1), branch_weights=[2, 1, 1]))
+    assert weighed.branch_weight.tolist() == [0.5, 0.25, 0.25]
+
+
 def test_hazards_that_are_not_all_stated_are_unknown():
     for states in (None, [{"branch": 0, "step": 0}], [{"branch": 0, "step": 0, "hazard": None}]):
         table = build_state_table(data_set(grid(1, 1, 1), states=states))

@@ -118,6 +118,16 @@ def test_branches_of_different_length_keep_to_themselves():
     assert (everything.target.mean - everything.source.mean).flatten().tolist() == [1.0, 1.0, 1.0]
 
 
+def test_states_are_drawn_by_their_weight():
+    # Equal pictures now, 1 or 9 next; the second branch happens three times as often.
+    successor, weight = torch.tensor([1, -1, 3, -1]), torch.tensor([0.25, 0.25, 0.75, 0.75])
+    beliefs = views([[0.0], [1.0], [0.0], [9.0]])
+    for weights, share in ((None, 0.5), (weight, 0.75)):
+        sampler = TransitionSampler(beliefs, successor, ring([0.0]), TransitionConfig(), 0, weights)
+        targets = drawn_targets(sampler, 0.0)  # 5120 pairs: a standard error of 0.006 to 0.007
+        assert (targets == 9).float().mean().item() == pytest.approx(share, abs=0.03)
+
+
 def test_targets_prefer_cameras_that_can_tell_the_next_state():
     # Two branches, states 0 -> 1 and 2 -> 3. After the step, camera 0 sees 5 in both, camera 1 sees 4 and 6.
     means = [[0.0, 0.0], [5.0, 4.0], [0.0, 0.0], [5.0, 6.0]]

@@ -16,6 +16,12 @@ def test_left_and_right_share_their_first_state_and_then_part():
     assert places[1, 0].y == places[1, 1].y == places[2, 1].y
 
 
+def test_the_cylinder_is_there_and_goes_left_with_equal_chance():
+    chance = dict(zip(WORLD.branches, WORLD.branch_weights))
+    assert chance["absent"] == chance["left"] + chance["right"]
+    assert chance["left"] == chance["right"]
+
+
 def test_the_cube_hides_the_cylinder_from_the_middle_of_the_ring_only():
     def pixels(index):
         ids = Scene(WORLD, WORLD.states[2].poses).render(WORLD.rig.cameras, index).object_id
