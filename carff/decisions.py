@@ -26,7 +26,7 @@ def sample_next_scores(
 def sample_scores_ahead(
     model: CarffModel, belief: Belief, n: int, generator: torch.Generator
 ) -> Float[Tensor, "beliefs {n} boxes"]:
-    """Returns how occupied every box is in `n` sampled scenes to decide by: next ones, or present ones that are last."""
+    """Returns how occupied every box is in `n` sampled scenes to decide by: next ones, or last present ones."""
     ahead = sample_next_scores(model, belief, n, generator)
     present = model.probe_scores(sample_beliefs(belief, n, generator).flatten(0, 1))
     last = model.probe.agreed(present, (model.scene.successor < 0).long()) == 1
