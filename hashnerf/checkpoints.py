@@ -24,6 +24,7 @@ from hashnerf.errors import DataError, UserError
 TENSORS, STATE, MANIFEST = "tensors.safetensors", "state.json", "manifest.json"
 STEP_NAME = re.compile(r"\d{7,}")
 TEMPORARY, REPLACED = ".writing-", ".replaced-"
+MOST_LINES = 8  # of problems in one message: a model of another kind has hundreds
 
 log = logging.getLogger(__name__)
 
@@ -150,7 +151,7 @@ def module_tensors(module: nn.Module, prefix: str) -> dict[str, Tensor]:
 
 
 def load_module_state(module: nn.Module, tensors: dict[str, Tensor], prefix: str) -> None:
-    """Copy `prefix.*` tensors into a module; DataError lists every missing, unexpected, misshapen or non-finite one."""
+    """Copy `prefix.*` tensors into a module; DataError lists missing, unexpected, misshapen and non-finite ones."""
     given = {
         name.removeprefix(f"{prefix}."): tensor for name, tensor in tensors.items() if name.startswith(f"{prefix}.")
     }
@@ -165,7 +166,11 @@ def load_module_state(module: nn.Module, tensors: dict[str, Tensor], prefix: str
         elif tensor.is_floating_point() and _unusable(tensor, name in parameters):
             problems.append(f"{prefix}.{name} holds NaN or infinite values")
     if problems:
-        raise DataError(f"checkpoint of '{prefix}' does not fit", sorted(problems))
+        lines = sorted(problems)
+        if len(lines) > MOST_LINES:
+            more = len(lines) - MOST_LINES + 1
+            lines = [*lines[: MOST_LINES - 1], f"{more} more: was it written for another architecture? Train again."]
+        raise DataError(f"checkpoint of '{prefix}' does not fit", lines)
     module.load_state_dict(given)
 
 

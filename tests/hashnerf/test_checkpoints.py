@@ -278,6 +278,15 @@ def test_strict_module_loading_names_every_problem():
     assert all(torch.equal(value, before[name]) for name, value in model.state_dict().items())
 
 
+def test_a_checkpoint_of_another_model_is_told_briefly():
+    model = torch.nn.Sequential(*(torch.nn.Linear(1, 1) for _ in range(10)))
+    with pytest.raises(DataError) as caught:
+        load_module_state(model, {}, "m")
+    assert len(caught.value.problems) == 8
+    assert caught.value.problems[0] == "m.0.bias is missing"
+    assert caught.value.problems[-1].startswith("13 more: ")
+
+
 def test_half_precision_weights_load_into_a_float_model():
     model = torch.nn.Linear(2, 1)
     load_module_state(model, {"m.weight": torch.ones(1, 2).half(), "m.bias": torch.ones(1).half()}, "m")
