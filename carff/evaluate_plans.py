@@ -5,7 +5,7 @@ which nothing is hidden is tried on pictures that show the danger, and says so. 
 or turns hazardous. The flag speaks of the present state, a forecast of the next one: states whose flag changes with the
 next step have no single right answer and are left out. Pictures are the ego's own, of test cameras first, and no camera
 comes twice before every one has come once; only where the ego has fewer than ten different ones do other cameras fill
-up. Every trial draws its own futures; with n of them it uses its first n.
+up. Every trial draws its own n futures.
 """
 
 import statistics
@@ -128,17 +128,17 @@ def trial_decisions(
     evaluation: EvaluationData, pictures: TrialPictures
 ) -> dict[tuple[str, int], Bool[np.ndarray, "images trials"]]:
     """Returns for every rule and number of samples whether each trial goes."""
-    trials, most = evaluation.config.evaluation.trials, max(SAMPLES)
-    belief = evaluation.views.belief.select(pictures.view)
-    scores = sample_scores_ahead(evaluation.model, belief, trials * most, evaluation.generator(11))
-    hazard, unknown = evaluation.model.hazards(scores.flatten(0, 1))
-    hazard, unknown = (flags.reshape(-1, most) for flags in (hazard, unknown))
+    trials = evaluation.config.evaluation.trials
+    belief = evaluation.views.belief.select(pictures.view.repeat_interleave(trials))
     decisions = {}
-    for rule in RULES:
-        planner = replace(evaluation.model.config.planner, rule=rule)
-        for n in SAMPLES:
-            go = [decide(own[:n], unclear[:n], planner).go for own, unclear in zip(hazard, unknown)]
-            decisions[rule, n] = np.array(go).reshape(len(belief), trials)
+    for n in SAMPLES:
+        scores = sample_scores_ahead(evaluation.model, belief, n, evaluation.generator(11))
+        flags = evaluation.model.hazards(scores.flatten(0, 1))
+        hazard, unknown = (flag.reshape(-1, n) for flag in flags)
+        for rule in RULES:
+            planner = replace(evaluation.model.config.planner, rule=rule)
+            go = [decide(own, unclear, planner).go for own, unclear in zip(hazard, unknown)]
+            decisions[rule, n] = np.array(go).reshape(len(pictures.view), trials)
     return decisions
 
 

@@ -39,11 +39,20 @@ class GaussianMixture:
         """Returns the log density of each value."""
         return torch.logsumexp(self.log_weights[:, None] + self.component_log_prob(values), dim=-1)
 
-    def sample(self, count: int, generator: torch.Generator | None = None) -> Float[Tensor, "b {count} d"]:
-        """Returns `count` samples of each mixture; the same generator state gives the same samples."""
+    def sample(
+        self, count: int, generator: torch.Generator | None = None, systematic: bool = False
+    ) -> Float[Tensor, "b {count} d"]:
+        """Returns `count` samples of each mixture; the same generator state gives the same samples.
+
+        `systematic` samples come component by component, each as often as its weight says to within one: every sample
+        alone is still a draw from the mixture, but what fraction of them shows something is far less noisy.
+        """
         rows, components, dimensions = self.means.shape
         options = {"generator": generator, "device": self.means.device, "dtype": self.means.dtype}
-        chosen = choose_component(self.log_weights, torch.rand(rows, count, components, **options))
+        if systematic:
+            chosen = spread_components(self.log_weights, torch.rand(rows, 1, **options), count)
+        else:
+            chosen = choose_component(self.log_weights, torch.rand(rows, count, components, **options))
         index = chosen[:, :, None].expand(rows, count, dimensions)
         noise = torch.randn(rows, count, dimensions, **options)
         return self.means.gather(1, index) + torch.exp(self.log_sigmas.gather(1, index)) * noise
@@ -78,6 +87,22 @@ def choose_component(log_weights: Float[Tensor, "b k"], uniform: Float[Tensor, "
     tiny = torch.finfo(uniform.dtype).tiny  # exactly 0 would make a live component look as dead as one of weight 0
     gumbel = -torch.log(-torch.log(uniform.clamp_min(tiny)))
     return (log_weights[:, None] + gumbel).argmax(dim=-1)
+
+
+def spread_components(
+    log_weights: Float[Tensor, "b k"], uniform: Float[Tensor, "b 1"], count: int
+) -> Int[Tensor, "b {count}"]:
+    """Returns component numbers drawn by systematic sampling from one number uniform in [0, 1) a row, in order.
+
+    A component of weight w comes floor(w count) or ceil(w count) times, w count times on average.
+    """
+    cumulative = log_weights.double().exp().cumsum(dim=1)
+    places = torch.arange(count, dtype=torch.float64, device=log_weights.device)
+    # in units of the last entry, which rounding may leave beside 1: no place lies beyond it
+    wanted = (places + uniform.double()) / count * cumulative[:, -1:]
+    chosen = torch.searchsorted(cumulative, wanted, right=True)
+    last = (log_weights > -torch.inf).long().cumsum(dim=1).argmax(dim=1, keepdim=True)  # the last that has any weight
+    return chosen.minimum(last)
 
 
 def negative_log_likelihood(mixture: GaussianMixture, values: Float[Tensor, "b s d"]) -> Float[Tensor, ""]:

@@ -6,7 +6,13 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carff.mixtures import GaussianMixture, choose_component, mixture_from_raw, negative_log_likelihood
+from carff.mixtures import (
+    GaussianMixture,
+    choose_component,
+    mixture_from_raw,
+    negative_log_likelihood,
+    spread_components,
+)
 
 
 def mixture(weights: list[float], means: list[list[float]], sigmas: list[list[float]], dtype=torch.float64):
@@ -162,6 +168,24 @@ def test_extreme_uniform_numbers_choose_a_live_component():
     chosen = choose_component(log_weights, uniform)
     assert ((chosen == 1) | (chosen == 2)).all()
     assert (chosen == 1).any() and (chosen == 2).any()
+
+
+@pytest.mark.parametrize("count", [1, 2, 10, 35])
+def test_systematic_draws_come_as_often_as_their_weight_says(count):
+    weights = torch.tensor([[1 / 3, 2 / 3, 0.0], [0.0, 0.05, 0.95], [1.0, 0.0, 0.0]])
+    uniform = torch.linspace(0, 0.99999994, 2001)
+    rows = [spread_components(weights.log(), u.expand(3, 1), count) for u in uniform]
+    counts = torch.stack([torch.nn.functional.one_hot(chosen, 3).sum(dim=1) for chosen in rows]).double()
+    wanted = weights.double() * count
+    assert (counts >= (wanted - 1e-5).floor()).all() and (counts <= (wanted + 1e-5).ceil()).all()
+    torch.testing.assert_close(counts.mean(dim=0), wanted, rtol=0, atol=2e-3)
+
+
+def test_systematic_samples_keep_the_moments():
+    mix = mixture([0.3, 0.7], [[-1.0, 5.0], [2.0, 0.0]], [[0.5, 1.0], [1.0, 0.1]])
+    draws = mix.sample(200_000, torch.Generator().manual_seed(1), systematic=True)[0]
+    torch.testing.assert_close(draws.mean(dim=0), mix.mean()[0], rtol=0, atol=0.02)
+    torch.testing.assert_close(draws.var(dim=0), mix.variance()[0], rtol=0.02, atol=0)
 
 
 def test_sample_moments_and_repetition():
