@@ -1,7 +1,7 @@
 """From pictures to decisions: encode, forecast n next states, probe them, apply the planner's rule.
 
 A forecast knows no state beyond the last one of a branch: what it says there was never trained. A sampled present that
-is such a last state therefore stands for its own future. Decisions draw the n futures systematically over the
+is such a last state therefore stands for its own future. Decisions draw the n next scenes systematically over the
 mixture's components: with independent draws, 10 futures of a hazard of probability 1/3 show none or one of it in 10 %
 of all cases, which is noise of the sampling and not knowledge.
 """

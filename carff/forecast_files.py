@@ -10,8 +10,8 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
+from carff.decisions import decide_from_pictures
 from carff.model import CarffModel
-from carff.planner import decide
 from carff.probe import UNKNOWN
 from hashnerf.errors import UserError
 from hashnerf.image_files import read_rgb, write_png
@@ -39,7 +39,10 @@ def forecast_image(
     belief = model.encode(picture[None])
     forecast = model.forecast(belief, samples, ahead, torch.Generator().manual_seed(seed))
     views = viewpoints(model, camera)
-    out.mkdir(parents=True, exist_ok=True)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise UserError(f"{out}: is a file; give a folder for the forecast") from error
     for sample, latent in enumerate(forecast.latents[-1]):
         for name, number in views.items():
             seen = model.nerf.render(latent, cameras, number).rgb.reshape(cameras.height, cameras.width, 3)
@@ -52,7 +55,9 @@ def forecast_image(
         "steps": [_step(model, states) for states in forecast.states],
     }
     if model.scene.hazard is not None:
-        decision = decide(*model.hazards(forecast.scores[0]), model.config.planner)
+        # by the same path as in driving and in the evaluation
+        generator = torch.Generator().manual_seed(seed)
+        decision = decide_from_pictures(model, picture[None], model.config.planner, samples, generator)[0]
         document["decision"] = {"go": decision.go, "hazard_probability": decision.hazard_probability}
     write_atomically(out / "forecast.json", json.dumps(document, indent=1, allow_nan=False).encode())
     return ForecastResult(tuple(_lines(document, out)), document)

@@ -44,13 +44,14 @@ class GaussianMixture:
     ) -> Float[Tensor, "b {count} d"]:
         """Returns `count` samples of each mixture; the same generator state gives the same samples.
 
-        `systematic` samples come component by component, each as often as its weight says to within one: every sample
+        Of `systematic` samples, shuffled, each component gives as many as its weight says, to within one: every sample
         alone is still a draw from the mixture, but what fraction of them shows something is far less noisy.
         """
         rows, components, dimensions = self.means.shape
         options = {"generator": generator, "device": self.means.device, "dtype": self.means.dtype}
         if systematic:
             chosen = spread_components(self.log_weights, torch.rand(rows, 1, **options), count)
+            chosen = chosen.gather(1, torch.rand(rows, count, **options).argsort(dim=1))
         else:
             chosen = choose_component(self.log_weights, torch.rand(rows, count, components, **options))
         index = chosen[:, :, None].expand(rows, count, dimensions)
@@ -92,7 +93,7 @@ def choose_component(log_weights: Float[Tensor, "b k"], uniform: Float[Tensor, "
 def spread_components(
     log_weights: Float[Tensor, "b k"], uniform: Float[Tensor, "b 1"], count: int
 ) -> Int[Tensor, "b {count}"]:
-    """Returns component numbers drawn by systematic sampling from one number uniform in [0, 1) a row, in order.
+    """Returns component numbers drawn by systematic sampling from one number uniform in [0, 1) a row, sorted.
 
     A component of weight w comes floor(w count) or ceil(w count) times, w count times on average.
     """

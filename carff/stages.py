@@ -38,15 +38,20 @@ def device_of(config: CarffConfig) -> torch.device:
 
 
 def load_data(config: CarffConfig) -> tuple[PosedImages, StateTable]:
-    """Loads the data set, seeds everything and writes the run's config and scene description."""
+    """Loads the data set and seeds everything."""
     set_threads(config.threads)
     seed_everything(config.seed)
     data = load_posed_images(Path(config.dataset), config.image_size or None)
-    table = build_state_table(data)
-    config.folder.mkdir(parents=True, exist_ok=True)
+    return data, build_state_table(data)
+
+
+def describe_run(config: CarffConfig, data: PosedImages, table: StateTable) -> None:
+    """Writes the run's config and scene description; only after a stage has accepted and finished its training.
+
+    A command that is refused, because the run belongs to another data set or config, leaves a finished run as it was.
+    """
     save_config(config, config.folder / CONFIG)
     scene_info(data, table).save(config.folder / SCENE)
-    return data, table
 
 
 def new_pcvae(config: CarffConfig, scene: SceneInfo) -> Pcvae:
@@ -62,6 +67,7 @@ def run_pcvae(config: CarffConfig) -> None:
     pcvae = new_pcvae(config, scene_info(data, table))
     record = _record(config, "pcvae")
     train_pcvae(config.pcvae, pcvae, data, table, config.folder / "pcvae", record, config.seed, config.overwrite)
+    describe_run(config, data, table)
 
 
 def run_nerf(config: CarffConfig) -> None:
@@ -76,6 +82,7 @@ def run_nerf(config: CarffConfig) -> None:
     train_nerf(
         config.nerf, nerf, data, held_out, config.folder / "nerf", record, config.nerf.steps, fabric, config.overwrite
     )
+    describe_run(config, data, table)
     more = config.nerf.birds_eye_steps
     views = training_views(table)
     if more == 0 or torch.equal(views, held_out):
@@ -106,6 +113,7 @@ def run_mdn(config: CarffConfig) -> None:
     poses = table.camera_poses
     sampler = TransitionSampler(beliefs, table.successor, poses, config.mdn.transitions, config.seed, weight)
     train_mdn(config.mdn, mdn, sampler, config.folder / "mdn", _record(config, "mdn"), config.overwrite)
+    describe_run(config, data, table)
 
 
 def load_pcvae(config: CarffConfig, scene: SceneInfo) -> tuple[Pcvae, dict]:

@@ -114,7 +114,9 @@ def build_state_table(posed: PosedImages) -> StateTable:
     actors = _actors(posed.extras, number, names)
     visible, unoccluded = _visibility(posed.extras, number, names, actors, cameras)
     branches = 1 + max(branch for branch, _ in states)
-    weight = torch.tensor(posed.extras.get("branch_weights") or [1.0] * branches)
+    branch_names = tuple(posed.extras.get("branches") or [f"branch {i}" for i in range(branches)])
+    weight = torch.zeros(len(branch_names))  # a name without frames has no weight
+    weight[:branches] = torch.tensor(posed.extras.get("branch_weights") or [1.0] * branches)
     return StateTable(
         states=states,
         views=views,
@@ -122,7 +124,7 @@ def build_state_table(posed: PosedImages) -> StateTable:
         frame_splits=tuple(frame.split for frame in posed.frames),
         camera_poses=poses,
         camera_kinds=tuple((posed.extras.get("camera_kinds") or ["unknown"] * cameras)[:cameras]),
-        branch_names=tuple(posed.extras.get("branches") or [f"branch {i}" for i in range(branches)]),
+        branch_names=branch_names,
         branch_weight=weight / weight.sum(),
         hazard=hazard,
         actor_names=names,

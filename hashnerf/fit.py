@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from hashnerf.errors import UserError
 from hashnerf.field import Field
 from hashnerf.finite_steps import FiniteSteps
-from hashnerf.marching import MarchSettings
+from hashnerf.marching import MOST_SAMPLES_PER_OPACITY, MarchSettings
 from hashnerf.occupancy import OccupancyGrid
 from hashnerf.rays import Rays
 from hashnerf.render import Rendering, render
@@ -58,9 +58,13 @@ class FitConfig:
     """Seed of everything random in the fit."""
 
     def __post_init__(self):
-        for name in ("learning_rate", "network_learning_rate", "final_share", "first_samples_per_opacity"):
+        for name in ("learning_rate", "network_learning_rate", "final_share"):
             if not 0 < getattr(self, name) < math.inf:
                 raise UserError(f"fit.{name} is {getattr(self, name)}: use a positive number")
+        if not 0 < self.first_samples_per_opacity <= MOST_SAMPLES_PER_OPACITY:
+            raise UserError(
+                f"fit.first_samples_per_opacity is {self.first_samples_per_opacity}: use a positive number up to 1e6"
+            )
         for name in ("rays", "most_rays", "batch_samples", "occupancy_every", "log_every"):
             if getattr(self, name) < 1:
                 raise UserError(f"fit.{name} is {getattr(self, name)}: use at least 1")

@@ -16,6 +16,7 @@ from hashnerf.occupancy import OccupancyGrid
 from hashnerf.ray_box import intersect_box
 from hashnerf.rays import Rays
 
+MOST_SAMPLES_PER_OPACITY = 1e6
 MOST_HIDDEN = 1.0  # optical thickness an interval is trusted to have: a ray may pass beside what fills half a cell
 FLOOR = 0.5  # opacity added to all occupied intervals of a ray together, so that none is ever left out
 
@@ -42,8 +43,8 @@ class MarchSettings:
             raise UserError(f"march.candidates is {self.candidates}: use at least 1")
         if self.samples < 0:
             raise UserError(f"march.samples is {self.samples}: use 0 or more")
-        if not 0 < self.samples_per_opacity < math.inf:
-            raise UserError(f"march.samples_per_opacity is {self.samples_per_opacity}: use a positive number")
+        if not 0 < self.samples_per_opacity <= MOST_SAMPLES_PER_OPACITY:
+            raise UserError(f"march.samples_per_opacity is {self.samples_per_opacity}: use a positive number up to 1e6")
         if not 0 < self.even_distance < math.inf:
             raise UserError(f"march.even_distance is {self.even_distance}: use a positive number of metres")
         if not 0 <= self.near < math.inf:

@@ -82,7 +82,12 @@ def test_a_branch_may_be_certain_where_the_state_is_not(tiny_evaluation, monkeyp
 def test_a_single_branch_has_curves_but_nothing_to_calibrate(tiny_evaluation):
     data = tiny_evaluation.data
     rows = [row for row, frame in enumerate(data.frames) if frame.branch == 0]
-    one = replace(tiny_evaluation.table, branch_names=("absent",), states=((0, 0), (0, 1), (0, 2), (0, 3)))
+    one = replace(
+        tiny_evaluation.table,
+        branch_names=("absent",),
+        branch_weight=torch.ones(1),
+        states=((0, 0), (0, 1), (0, 2), (0, 3)),
+    )
     part = evaluate_forecast(replace(tiny_evaluation, table=one))
     assert "single branch" in part.not_run["forecast.branch_ece"]
     assert part.results["forecast"]["branch_ece"] is None and "accuracy_recall" in part.figures

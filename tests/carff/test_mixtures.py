@@ -185,6 +185,8 @@ def test_systematic_samples_keep_the_moments():
     mix = mixture([0.3, 0.7], [[-1.0, 5.0], [2.0, 0.0]], [[0.5, 1.0], [1.0, 0.1]])
     draws = mix.sample(200_000, torch.Generator().manual_seed(1), systematic=True)[0]
     torch.testing.assert_close(draws.mean(dim=0), mix.mean()[0], rtol=0, atol=0.02)
+    first = [mix.sample(2, torch.Generator().manual_seed(s), systematic=True)[0, 0, 1] > 2.5 for s in range(400)]
+    assert sum(map(int, first)) / 400 == pytest.approx(0.3, abs=0.1), "also the first of two is a draw from the mixture"
     torch.testing.assert_close(draws.var(dim=0), mix.variance()[0], rtol=0.02, atol=0)
 
 

@@ -102,6 +102,8 @@ def test_names_hazards_and_boxes():
 
 def test_branches_happen_alike_unless_weighed():
     assert build_state_table(data_set(grid(2, 1, 1))).branch_weight.tolist() == [0.5, 0.5]
+    named = build_state_table(data_set(grid(2, 1, 1), branches=["absent", "present", "never seen"]))
+    assert named.branch_weight.tolist() == [0.5, 0.5, 0.0]
     weighed = build_state_table(data_set(grid(3, 1, 1), branch_weights=[2, 1, 1]))
     assert weighed.branch_weight.tolist() == [0.5, 0.25, 0.25]
 

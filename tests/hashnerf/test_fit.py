@@ -254,7 +254,14 @@ def test_two_processes_equal_one_on_the_joined_batch(tmp_path):
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("learning_rate", 0.0), ("final_share", math.nan), ("rays", 0), ("batch_samples", 0), ("log_every", 0)],
+    [
+        ("learning_rate", 0.0),
+        ("final_share", math.nan),
+        ("rays", 0),
+        ("first_samples_per_opacity", 1e300),
+        ("batch_samples", 0),
+        ("log_every", 0),
+    ],
 )
 def test_impossible_configs_name_the_key(key, value):
     with pytest.raises(UserError, match=f"fit.{key} is"):

@@ -199,6 +199,7 @@ def test_far_origins_are_finite():
         ("candidates", 0),
         ("samples", -1),
         ("samples_per_opacity", 0.0),
+        ("samples_per_opacity", 1e300),
         ("even_distance", 0.0),
         ("near", -1.0),
         ("stop_transmittance", 1.0),
