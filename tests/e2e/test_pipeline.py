@@ -111,8 +111,10 @@ def test_a_finished_stage_does_nothing(place, trained):
 
 
 def test_another_config_is_refused_with_the_difference(place, trained):
+    before = {name: (trained / name).read_bytes() for name in ("config.yaml", "scene.json")}
     output = train(place, "pcvae", "--pcvae.lr", "0.5", expect=2)
     assert "pcvae.lr: 0.002 -> 0.5" in output
+    assert {name: (trained / name).read_bytes() for name in before} == before, "a refused command changes no run"
 
 
 def test_a_truncated_checkpoint_falls_back_to_the_one_before(place, trained):
