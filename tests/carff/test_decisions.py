@@ -47,7 +47,8 @@ def test_one_decision_per_picture(tiny_evaluation):
     assert decisions[1].hazards == 35 and 5 < decisions[2].hazards < 30
 
 
-def test_forecast_py_decides_like_the_car(tiny_evaluation, tmp_path):
+def test_forecast_py_decides_like_the_car(tiny_evaluation, tmp_path, monkeypatch):
+    monkeypatch.setattr("carff.forecast_files.viewpoints", lambda model, camera: {})  # nothing to render
     # The truck in plain view at the last step, beyond which no forecast was trained.
     view = int(tiny_evaluation.table.views[3, 1])
     image = tmp_path / "view.png"
