@@ -1,11 +1,9 @@
 """From pictures to decisions."""
 
 import torch
-from PIL import Image
 
 from carff.beliefs import Belief
 from carff.decisions import decide_from_pictures, sample_next_scores, sample_scores_ahead
-from carff.forecast_files import forecast_image
 from carff.planner import PlannerConfig
 
 
@@ -45,16 +43,6 @@ def test_one_decision_per_picture(tiny_evaluation):
     assert [one.go for one in decisions] == [True, False, False], "clear; the truck is there; it may be hidden"
     assert [one.samples for one in decisions] == [35] * 3
     assert decisions[1].hazards == 35 and 5 < decisions[2].hazards < 30
-
-
-def test_forecast_py_decides_like_the_car(tiny_evaluation, tmp_path, monkeypatch):
-    monkeypatch.setattr("carff.forecast_files.viewpoints", lambda model, camera: {})  # nothing to render
-    # The truck in plain view at the last step, beyond which no forecast was trained.
-    view = int(tiny_evaluation.table.views[3, 1])
-    image = tmp_path / "view.png"
-    Image.fromarray(tiny_evaluation.data.images[view].numpy()).save(image)
-    result = forecast_image(tiny_evaluation.model, image, tmp_path / "out", 10, 1, -1, 0)
-    assert result.document["decision"]["go"] is False
 
 
 def test_not_knowing_where_the_ego_stands_does_not_hide_the_hazard(tiny_evaluation, monkeypatch):

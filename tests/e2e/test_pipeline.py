@@ -10,6 +10,11 @@ import time
 from pathlib import Path
 
 import pytest
+import torch
+
+from carff.decisions import decide_from_pictures
+from carff.model import load_carff
+from hashnerf.image_files import read_rgb
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = """
@@ -135,6 +140,12 @@ def test_forecast_from_any_picture(place, trained):
     document = json.loads((out / "forecast.json").read_text())
     assert abs(sum(document["mixture_weights"]) - 1) < 1e-5
     assert len(list(out.glob("sample*_birds_eye.png"))) == 10
+    # the car decides in the same way: one path from a picture to a decision
+    model = load_carff(trained)
+    pictures, generator = read_rgb(picture)[None], torch.Generator().manual_seed(document["seed"])
+    decision = decide_from_pictures(model, torch.as_tensor(pictures), model.config.planner, 10, generator)[0]
+    said = {"go": decision.go, "hazard_probability": decision.hazard_probability}
+    assert document["decision"] == pytest.approx(said)
 
 
 def test_a_moved_run_forecasts_without_its_data_set(place, trained, tmp_path):
