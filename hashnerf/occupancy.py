@@ -36,7 +36,7 @@ class OccupancyConfig:
     """Largest edge of a cell, metres."""
     threshold: float = 0.01
     """A cell whose optical thickness stays below this in every condition is skipped."""
-    decay: float = 0.7
+    decay: float = 0.95
     """Factor on the remembered maximum at each update of a cell."""
     points: int = 2
     """Positions tried in a cell at each update."""
