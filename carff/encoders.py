@@ -62,8 +62,8 @@ class ResidualBlock(nn.Module):
 class ConvEncoder(nn.Module):
     """A small residual network.
 
-    Batch normalisation is frozen outside training, so that one picture gives the same belief alone and in a batch. On a
-    processor its backward pass takes a fifth of that of a group normalisation, which took a third of every step.
+    Batch normalisation is frozen outside training, so that one picture gives the same belief alone and in a batch; its
+    backward pass on a processor is cheaper than that of a group normalisation.
     """
 
     def __init__(self, config: EncoderConfig, latent_size: int, image_size: int):

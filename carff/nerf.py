@@ -55,6 +55,8 @@ class NerfConfig:
         for key in ("steps", "latents_per_step", "bank_per_state", "save_every"):
             if getattr(self, key) < 1:
                 raise UserError(f"nerf.{key} is {getattr(self, key)}; give at least 1")
+        if self.birds_eye_steps < 0:
+            raise UserError(f"nerf.birds_eye_steps is {self.birds_eye_steps}; give 0 (none) or more")
         if not 0 <= self.changed_share <= 1:
             raise UserError(f"nerf.changed_share is {self.changed_share}; give a value from 0 to 1")
         if not 0 <= self.fresh_start <= self.fresh_end:

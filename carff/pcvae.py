@@ -4,6 +4,7 @@ CARFF 3.1: the encoder sees camera c, the decoder is asked for camera c'', so th
 the view. Latent size 8 (Table 4). A `Belief` is a diagonal Gaussian over latents (carff.beliefs).
 """
 
+import math
 from dataclasses import dataclass, field
 
 import torch
@@ -47,6 +48,9 @@ class PcvaeConfig:
         for key in ("latent_size", "steps", "batch_size", "save_every"):
             if getattr(self, key) < 1:
                 raise UserError(f"pcvae.{key} is {getattr(self, key)}; give at least 1")
+        for key in ("kl_start", "kl_end"):
+            if not 0 <= getattr(self, key) < math.inf:
+                raise UserError(f"pcvae.{key} is {getattr(self, key)}; give 0 or a positive number")
         if not self.lr > 0:
             raise UserError(f"pcvae.lr is {self.lr}; give a positive learning rate")
         if self.kl_ramp_end < self.kl_ramp_start:

@@ -3,6 +3,9 @@
 Each of n sampled futures was probed: it shows a hazard, it is clear, or the probe could not tell (*unknown*). Costs are
 in any one unit; only their ratio matters.
 
+The exact sums below hold for n independent draws of the future. The programs draw systematically
+(`GaussianMixture.sample`), which spreads less; how often they err is measured by `scripts/evaluate_carff.py`.
+
 `paper`  go only if no sample counts as a hazard. One false alarm in n stops the car, so more samples mean more needless
          stops: at 0.5 % false alarms 4.9 % of clear scenes stop for n = 10, 16 % for n = 35.
 `risk`   the hazard probability p has a Beta(prior_hazard, prior_clear) prior; n samples of which k count as hazards

@@ -39,6 +39,8 @@ class ProbeConfig:
     def __post_init__(self):
         if min(*self.columns, self.levels) < 1 or not 0 <= self.margin < 0.5:
             raise UserError("probe: columns and levels must be at least 1 and margin in [0, 0.5)")
+        if not 0 <= self.min_confidence <= 1:
+            raise UserError(f"probe.min_confidence is {self.min_confidence}; give a probability from 0 to 1")
 
 
 @dataclass(frozen=True)

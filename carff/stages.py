@@ -14,6 +14,7 @@ from lightning_fabric import Fabric
 from torch import Tensor
 
 from carff.config import CarffConfig
+from carff.dataset_summary import limits
 from carff.mdn_training import build_mdn, train_mdn
 from carff.model_files import load_model
 from carff.nerf_training import build_nerf, train_nerf, training_views
@@ -22,8 +23,10 @@ from carff.pcvae_training import train_pcvae
 from carff.scene_info import SceneInfo, scene_info
 from carff.states import StateTable, build_state_table
 from carff.transitions import TransitionSampler, ViewBeliefs
-from hashnerf.command_line import plain_config, save_config, set_threads
+from hashnerf.command_line import config_changes, plain_config, read_yaml, save_config, set_threads
+from hashnerf.errors import UserError
 from hashnerf.posed_images import PosedImages, load_posed_images
+from hashnerf.progress import say
 from hashnerf.random_state import seed_everything
 
 CONFIG, SCENE = "config.yaml", "scene.json"
@@ -64,6 +67,8 @@ def new_pcvae(config: CarffConfig, scene: SceneInfo) -> Pcvae:
 def run_pcvae(config: CarffConfig) -> None:
     """Stage 1."""
     data, table = load_data(config)
+    for reason in limits(table):
+        say(f"{config.dataset}: {reason}.")
     pcvae = new_pcvae(config, scene_info(data, table))
     record = _record(config, "pcvae")
     train_pcvae(config.pcvae, pcvae, data, table, config.folder / "pcvae", record, config.seed, config.overwrite)
@@ -73,7 +78,7 @@ def run_pcvae(config: CarffConfig) -> None:
 def run_nerf(config: CarffConfig) -> None:
     """Stage 2: without the bird's-eye camera, then on with it."""
     data, table = load_data(config)
-    pcvae, _ = load_pcvae(config, scene_info(data, table))
+    pcvae = _pcvae_of_this_config(config, data, table)
     beliefs = encode_views(pcvae, data, table.view_index("train"))
     nerf = build_nerf(config.nerf, beliefs, data.scene_box, config.seed).to(device_of(config))
     fabric = Fabric(accelerator=device_of(config).type, devices=1)
@@ -106,7 +111,7 @@ def run_nerf(config: CarffConfig) -> None:
 def run_mdn(config: CarffConfig) -> None:
     """Stage 3."""
     data, table = load_data(config)
-    pcvae, _ = load_pcvae(config, scene_info(data, table))
+    pcvae = _pcvae_of_this_config(config, data, table)
     beliefs = encode_views(pcvae, data, table.view_index("train"))
     mdn = build_mdn(config.mdn, pcvae.latent_size)
     weight = table.branch_weight[table.branch]
@@ -114,6 +119,18 @@ def run_mdn(config: CarffConfig) -> None:
     sampler = TransitionSampler(beliefs, table.successor, poses, config.mdn.transitions, config.seed, weight)
     train_mdn(config.mdn, mdn, sampler, config.folder / "mdn", _record(config, "mdn"), config.overwrite)
     describe_run(config, data, table)
+
+
+def _pcvae_of_this_config(config: CarffConfig, data: PosedImages, table: StateTable) -> Pcvae:
+    """Loads the PC-VAE that a later stage builds on; refuses one of another data set, size, seed or training."""
+    trained = config.folder / "pcvae" / CONFIG
+    changes = config_changes(read_yaml(trained), _record(config, "pcvae")) if trained.is_file() else []
+    if changes:
+        raise UserError(
+            f"{trained.parent}: the PC-VAE was trained with another config ({'; '.join(changes)}); give the same, "
+            "or run scripts/train_pcvae.py first, under another name or with --overwrite true"
+        )
+    return load_pcvae(config, scene_info(data, table))[0]
 
 
 def load_pcvae(config: CarffConfig, scene: SceneInfo) -> tuple[Pcvae, dict]:

@@ -117,6 +117,7 @@ def build_state_table(posed: PosedImages) -> StateTable:
     branch_names = tuple(posed.extras.get("branches") or [f"branch {i}" for i in range(branches)])
     weight = torch.zeros(len(branch_names))  # a name without frames has no weight
     weight[:branches] = torch.tensor(posed.extras.get("branch_weights") or [1.0] * branches)
+    weight[[branch not in {b for b, _ in states} for branch in range(len(branch_names))]] = 0
     return StateTable(
         states=states,
         views=views,

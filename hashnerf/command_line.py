@@ -45,13 +45,33 @@ def parse_config(
     parser.add_class_arguments(config_class)
     _hide_groups(parser)
     for file in files:
-        parser.set_defaults(_typed_values(config_class, _read_yaml(Path(file)), file))
+        parser.set_defaults(_typed_values(config_class, read_yaml(Path(file)), file))
     return _parse_overrides(parser, config_class, overrides)
 
 
 def load_config(config_class: type[Config], path: Path) -> Config:
     """Read one YAML file written by `save_config` (or by hand) into a config."""
     return parse_config(config_class, ["--config", str(path)])
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """Read one config file as a dict; UserError when it is missing, too large, or not strict YAML."""
+    if not path.is_file():
+        raise UserError(f"{path}: no such config file; check the path after --config.")
+    if path.stat().st_size > MAX_CONFIG_BYTES:
+        raise UserError(f"{path}: larger than {MAX_CONFIG_BYTES} bytes; this is not a config file.")
+    try:
+        data = _StrictLoader(path.read_text(encoding="utf-8")).get_single_data()
+    except yaml.MarkedYAMLError as error:
+        line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise UserError(f"{path}: {error.problem}{line}; mend the YAML.") from error
+    except (yaml.YAMLError, ValueError, OSError, RecursionError) as error:
+        raise UserError(f"{path}: cannot be read as YAML ({' '.join(str(error).split())}).") from error
+    if data is None:
+        return {}
+    if not isinstance(data, dict):
+        raise UserError(f"{path}: holds a {type(data).__name__}, but a config is `key: value` lines.")
+    return data
 
 
 def save_config(config: Any, path: Path) -> None:
@@ -82,6 +102,17 @@ def flat_config(plain: dict[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[prefix + key] = value
     return flat
+
+
+def config_changes(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
+    """One line for each key whose value differs between two plain configs."""
+    flat_old, flat_new = flat_config(old), flat_config(new)
+    absent = "(absent)"
+    return [
+        f"{key}: {flat_old.get(key, absent)} -> {flat_new.get(key, absent)}"
+        for key in {**flat_old, **flat_new}
+        if flat_old.get(key, absent) != flat_new.get(key, absent)
+    ]
 
 
 def run_main(main: Callable[[], int | None]) -> NoReturn:
@@ -199,26 +230,6 @@ class _StrictLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def _read_yaml(path: Path) -> dict[str, Any]:
-    """Read one config file as a dict; UserError when it is missing, too large, or not strict YAML."""
-    if not path.is_file():
-        raise UserError(f"{path}: no such config file; check the path after --config.")
-    if path.stat().st_size > MAX_CONFIG_BYTES:
-        raise UserError(f"{path}: larger than {MAX_CONFIG_BYTES} bytes; this is not a config file.")
-    try:
-        data = _StrictLoader(path.read_text(encoding="utf-8")).get_single_data()
-    except yaml.MarkedYAMLError as error:
-        line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise UserError(f"{path}: {error.problem}{line}; mend the YAML.") from error
-    except (yaml.YAMLError, ValueError, OSError, RecursionError) as error:
-        raise UserError(f"{path}: cannot be read as YAML ({' '.join(str(error).split())}).") from error
-    if data is None:
-        return {}
-    if not isinstance(data, dict):
-        raise UserError(f"{path}: holds a {type(data).__name__}, but a config is `key: value` lines.")
-    return data
-
-
 def _fields(config_class: type) -> dict[str, Any]:
     """Field names of a config class with their resolved types."""
     hints = typing.get_type_hints(config_class)
@@ -304,7 +315,17 @@ def _parse_overrides(parser: jsonargparse.ArgumentParser, config_class: type[Con
     del namespace["config"]
     for key in hints:
         _refuse_nan(namespace.get(key), f"--{key}")
-    return config_class(**parser.instantiate(namespace).as_dict())
+    try:
+        return config_class(**parser.instantiate(namespace).as_dict())
+    except UserError as error:
+        raise UserError(_with_full_key(str(error), hints)) from error
+
+
+def _with_full_key(message: str, hints: dict[str, Any]) -> str:
+    """A part of a config names its keys without knowing where the whole config holds it: `fit.x` for `nerf.fit.x`."""
+    word = message.split(" ", 1)[0]
+    whole = [key for key in hints if key.endswith(f".{word}")]
+    return message.replace(word, whole[0], 1) if len(whole) == 1 else message
 
 
 def _argument_problem(message: str, hints: dict[str, Any]) -> str:

@@ -49,7 +49,7 @@ class FitConfig:
     """Samples a step should have: the number of rays adapts to it."""
     first_samples_per_opacity: float = 1.5
     """`march.samples_per_opacity` of the first step; it grows geometrically to the march's own. While all is fog many
-    rays teach more than many samples a ray; thin surfaces need the samples."""
+    rays teach more than many samples a ray; thin surfaces need the samples. No effect with `march.samples` 0."""
     occupancy_every: int = 16
     """Steps between updates of the occupancy grid."""
     log_every: int = 20
@@ -61,6 +61,8 @@ class FitConfig:
         for name in ("learning_rate", "network_learning_rate", "final_share"):
             if not 0 < getattr(self, name) < math.inf:
                 raise UserError(f"fit.{name} is {getattr(self, name)}: use a positive number")
+        if not 0 <= self.average_decay < 1:
+            raise UserError(f"fit.average_decay is {self.average_decay}: use 0 (no average) or more and less than 1")
         if not 0 < self.first_samples_per_opacity <= MOST_SAMPLES_PER_OPACITY:
             raise UserError(
                 f"fit.first_samples_per_opacity is {self.first_samples_per_opacity}: use a positive number up to 1e6"

@@ -1,7 +1,9 @@
-"""Sample positions along rays: a fixed number of candidates between box entry and exit, of which the occupied stay.
+"""Sample positions along rays: a fixed number of candidates between box entry and exit, of which some are kept.
 
 Candidates are stratified: interval edges are evenly spaced in log(t + c), so they grow in proportion to the distance t
-from the camera beyond about c metres. One candidate lies in each interval, at its middle or at random.
+from the camera beyond about c metres. One candidate lies in each interval, at its middle or at random. With
+`samples: 0` every candidate in an occupied cell is kept; otherwise at most `samples` are drawn from the occupied ones,
+in proportion to the opacity that the occupancy grid leads to expect there.
 """
 
 import math

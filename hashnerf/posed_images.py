@@ -20,10 +20,11 @@ from hashnerf.errors import DataError, UserError
 from hashnerf.image_files import read_depth, read_rgb, resolve_inside
 from hashnerf.lens import COEFFICIENT_KEYS, LENS_KEYS, UNSUPPORTED_COEFFICIENTS, read_lens
 from hashnerf.poses import default_scene_box, read_pose, scene_origin
-from hashnerf.transforms_json import check_extras, is_index, read_transforms
+from hashnerf.transforms_json import check_extras, is_index, misspelled, read_transforms
 
 SPLITS = ("train", "val", "test")
 IMAGE_EXTENSIONS = (".png", ".jpg")
+FRAME_KEYS = ("file_path", "transform_matrix", "branch", "step", "camera", "split", "depth_path")
 CAMERA_KEYS = (*LENS_KEYS, *COEFFICIENT_KEYS, *UNSUPPORTED_COEFFICIENTS, "w", "h")
 READER_THREADS = 4
 
@@ -149,6 +150,7 @@ def _read_view(folder: Path, document: dict, row: int, entry: object, image_size
     shown = "".join(letter if letter.isprintable() else "?" for letter in str(entry.get("file_path"))[:80])
     view = _View(f"frame {row} ({shown})")
     _read_frame(view, entry, row)
+    view.problems += misspelled(entry, FRAME_KEYS)
     view.pose, problem = read_pose(entry.get("transform_matrix"))
     if problem is not None:
         view.problems.append(f"transform_matrix {problem}")

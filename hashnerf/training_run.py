@@ -37,7 +37,7 @@ from hashnerf.checkpoints import (
     sweep_leftovers,
     unpack,
 )
-from hashnerf.command_line import flat_config, plain_config, save_config
+from hashnerf.command_line import config_changes, plain_config, save_config
 from hashnerf.errors import UserError
 from hashnerf.progress import StepProgress, say
 from hashnerf.random_state import capture_random_state, restore_random_state
@@ -233,13 +233,7 @@ class TrainingRun:
         self.completed = self._saved = self._resumed_step = step
 
     def _refuse_other_config(self, saved: dict[str, Any]) -> None:
-        old, new = flat_config(saved), flat_config(plain_config(self.config))
-        absent = "(absent)"
-        changes = [
-            f"{key}: {old.get(key, absent)} -> {new.get(key, absent)}"
-            for key in {**old, **new}
-            if old.get(key, absent) != new.get(key, absent)
-        ]
+        changes = config_changes(saved, plain_config(self.config))
         if changes:
             raise UserError(
                 f"{self.folder}: was trained with another config ({'; '.join(changes)}); "

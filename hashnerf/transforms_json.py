@@ -4,9 +4,11 @@ The format is the one of instant-ngp and nerfstudio with optional extra keys; do
 """
 
 import contextlib
+import difflib
 import json
 import math
 import os
+import re
 import secrets
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,6 +18,7 @@ from hashnerf.errors import UserError
 
 LARGEST_FILE = 200 * 1024 * 1024  # bytes
 DEEPEST_NESTING = 50
+EXTRA_KEYS = ("scene_box", "states", "branches", "branch_weights", "camera_kinds", "actors", "visibility", "world")
 LARGEST_INDEX = 1_000_000  # a branch, step or camera beyond this is a mistake, and tables by index would not fit
 
 
@@ -35,7 +38,10 @@ def read_transforms(path: Path | str) -> dict:
         raise UserError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
     try:
         document = json.loads(
-            text, parse_constant=_refuse_constant, parse_float=_finite_float, object_pairs_hook=_unique_keys
+            text,
+            parse_constant=lambda token: _refuse_constant(token, text),
+            parse_float=_finite_float,
+            object_pairs_hook=_unique_keys,
         )
         _check_nesting(document)
     except RecursionError as error:
@@ -80,8 +86,11 @@ def write_atomically(path: Path, data: bytes) -> None:
             os.unlink(temporary)
 
 
-def _refuse_constant(token: str) -> NoReturn:
-    raise ValueError(f"the token {token} is not JSON; write a finite number or null")
+def _refuse_constant(token: str, text: str) -> NoReturn:
+    # the parser tells no position, and a name may hold the same letters: the first such token after [ , or :
+    place = re.search(rf"[\[:,]\s*{re.escape(token)}", text)
+    line = text.count("\n", 0, place.end()) + 1 if place else 1
+    raise ValueError(f"the token {token} in line {line} is not JSON; write a finite number or null")
 
 
 def _finite_float(text: str) -> float:
@@ -129,7 +138,13 @@ def is_point(value: object) -> bool:
 def check_extras(document: dict, views: list[tuple[int, int, int]]) -> list[str]:
     """Every problem in the optional top-level keys, one line each; `views` holds each frame's branch, step, camera."""
     checks = (_scene_box, _states, _names, _branch_weights, _actors, _visibility, _world)
-    return [problem for check in checks for problem in check(document, views)]
+    return misspelled(document, EXTRA_KEYS) + [problem for check in checks for problem in check(document, views)]
+
+
+def misspelled(entry: dict, known: tuple[str, ...]) -> list[str]:
+    """One line for each key that is almost a known one; other tools may write any other key, which is left alone."""
+    close = {key: difflib.get_close_matches(key, known, n=1, cutoff=0.85) for key in entry if key not in known}
+    return [f"has the unknown key {key[:40]!r}; did you mean {match[0]!r}?" for key, match in close.items() if match]
 
 
 def _scene_box(document: dict, views: list[tuple[int, int, int]]) -> Iterator[str]:

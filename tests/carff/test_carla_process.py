@@ -115,7 +115,9 @@ def test_failures_of_the_client_become_a_sentence(monkeypatch, failure):
 
 
 def test_the_process_ends_when_nobody_listens_any_more(monkeypatch):
-    monkeypatch.setitem(sys.modules, "carla", FakeCarla())
+    fake = FakeCarla()
+    monkeypatch.setitem(sys.modules, "carla", fake)
     talk = Talk()
     talk.parent.close()
     serve(talk.child, SETTINGS)  # returns
+    assert fake.calls == ["stop", "destroy"]

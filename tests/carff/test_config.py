@@ -34,3 +34,21 @@ def test_bad_values_are_named():
         EvaluationConfig(episodes=0)
     with pytest.raises(UserError, match="threads is -1"):
         CarffConfig(threads=-1)
+
+
+@pytest.mark.parametrize(
+    "key, value",
+    [
+        ("nerf.fit.average_decay", "5"),
+        ("nerf.fit.learning_rate", "-1"),
+        ("nerf.march.near", "-1"),
+        ("nerf.field.initial_thickness", "-1"),
+        ("nerf.birds_eye_steps", "-5"),
+        ("probe.min_confidence", "5"),
+        ("pcvae.kl_end", "-1"),
+        ("pcvae.encoder.width", "7"),
+    ],
+)
+def test_a_bad_value_is_named_with_its_whole_key(key, value):
+    with pytest.raises(UserError, match=rf"^{key} is {value}(\.0)?\b"):
+        parse_config(CarffConfig, [f"--{key}", value])

@@ -1,12 +1,18 @@
 """What the stages share: the device, and encoding views with gaps. The stages themselves run in tests/e2e."""
 
+from dataclasses import replace
+
+import pytest
 import torch
 
+from carff import stages
 from carff.config import CarffConfig
 from carff.encoders import EncoderConfig
 from carff.pcvae import PcvaeConfig
 from carff.scene_info import scene_info
-from carff.stages import device_of, encode_views, new_pcvae
+from carff.stages import device_of, encode_views, new_pcvae, run_mdn, run_nerf
+from hashnerf.command_line import save_config
+from hashnerf.errors import UserError
 
 
 def test_auto_takes_the_gpu_if_there_is_one():
@@ -24,3 +30,15 @@ def test_a_missing_view_is_invalid_and_the_others_are_in_place(tiny_data, tiny_t
     assert not beliefs.valid[2, 1] and beliefs.valid.sum() == 15
     alone = pcvae.encode(tiny_data.images[index[3, 2]][None])
     assert torch.allclose(beliefs.means[3, 2], alone.mean[0], atol=2e-2)
+
+
+def test_a_pcvae_of_another_config_is_refused_by_key(tmp_path, monkeypatch, tiny_data, tiny_table):
+    monkeypatch.setattr(stages, "load_data", lambda _: (tiny_data, tiny_table))
+    config = CarffConfig(runs=str(tmp_path), device="cpu")
+    (config.folder / "pcvae").mkdir(parents=True)
+    save_config(stages._record(config, "pcvae"), config.folder / "pcvae" / "config.yaml")
+    for stage in (run_nerf, run_mdn):
+        with pytest.raises(UserError, match="no trained model here"):
+            stage(config)
+        with pytest.raises(UserError, match=r"trained with another config \(dataset: data/intersection -> data/b\)"):
+            stage(replace(config, dataset="data/b"))

@@ -106,6 +106,8 @@ def test_branches_happen_alike_unless_weighed():
     assert named.branch_weight.tolist() == [0.5, 0.5, 0.0]
     weighed = build_state_table(data_set(grid(3, 1, 1), branch_weights=[2, 1, 1]))
     assert weighed.branch_weight.tolist() == [0.5, 0.25, 0.25]
+    gap = build_state_table(data_set([(0, 0, 0), (2, 0, 0)]))
+    assert gap.branch_weight.tolist() == [0.5, 0.0, 0.5]
 
 
 def test_hazards_that_are_not_all_stated_are_unknown():

@@ -313,7 +313,7 @@ def test_a_missing_folder_and_a_file_with_nan_are_named(folder):
     with pytest.raises(UserError, match=r"nowhere/transforms.json: not found"):
         load_posed_images(folder / "nowhere")
     _edit(folder, lambda document: document["frames"][0]["transform_matrix"][0].__setitem__(3, float("nan")))
-    with pytest.raises(UserError, match="the token NaN is not JSON"):
+    with pytest.raises(UserError, match="the token NaN in line 1 is not JSON"):
         load_posed_images(folder)
 
 
@@ -332,6 +332,6 @@ def test_the_example_in_the_documentation_loads(tmp_path):
         write_png(tmp_path / frame["file_path"], np.zeros((480, 640, 3), np.uint8))
     posed = load_posed_images(tmp_path)
     # Both stand 1.5 m up and look along +x: 10 m ahead is the image centre, and 1 m left of that is 50 pixels left.
-    pixel, depth = project(posed.cameras, torch.tensor([0, 2]), torch.tensor([[10.0, 0, 1.5], [15.0, 1, 1.5]]))
+    pixel, depth = project(posed.cameras, torch.tensor([0, 4]), torch.tensor([[10.0, 0, 1.5], [15.0, 1, 1.5]]))
     torch.testing.assert_close(pixel, torch.tensor([[320.0, 240.0], [270.0, 240.0]]))
     assert depth.tolist() == [10, 10] and missing_views(posed) == []

@@ -67,8 +67,10 @@ class Broken(io.StringIO):
     def __init__(self, error: Exception):
         super().__init__()
         self.error = error
+        self.attempts = 0
 
     def write(self, text: str) -> int:
+        self.attempts += 1
         raise self.error
 
 
@@ -76,9 +78,12 @@ class Broken(io.StringIO):
     "error", [OSError(28, "No space left on device"), BrokenPipeError(), ValueError("closed file")]
 )
 def test_a_stream_that_cannot_be_written_is_no_reason_to_stop(monkeypatch, clock, error):
-    monkeypatch.setattr(sys, "stderr", Broken(error))
+    stream = Broken(error)
+    monkeypatch.setattr(sys, "stderr", stream)
     say("x")
+    assert stream.attempts == 1
     shown = StepProgress("nerf", 0, 10)
     clock[0] += 6
     shown.show(10)
     shown.close()
+    assert stream.attempts > 1

@@ -32,6 +32,7 @@ def test_a_process_that_died_leaves_no_lock(tmp_path):
     assert json.loads((tmp_path / ".lock").read_text())["pid"] == child
     lock = RunLock(tmp_path)
     lock.acquire()
+    assert json.loads((tmp_path / ".lock").read_text())["pid"] == os.getpid()
     lock.release()
 
 
@@ -42,6 +43,7 @@ def test_another_host_that_did_not_end_cleanly_is_respected(tmp_path):
         lock.acquire()
     (tmp_path / ".lock").unlink()
     lock.acquire()
+    assert json.loads((tmp_path / ".lock").read_text())["pid"] == os.getpid()
     lock.release()
 
 
@@ -50,4 +52,5 @@ def test_a_garbled_lock_file_is_no_obstacle(tmp_path, text):
     (tmp_path / ".lock").write_text(text)
     lock = RunLock(tmp_path)
     lock.acquire()
+    assert json.loads((tmp_path / ".lock").read_text())["pid"] == os.getpid()
     lock.release()

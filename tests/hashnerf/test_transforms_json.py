@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from hashnerf import transforms_json
 from hashnerf.errors import UserError
-from hashnerf.transforms_json import check_extras, read_transforms, write_atomically, write_transforms
+from hashnerf.posed_images import FRAME_KEYS
+from hashnerf.transforms_json import check_extras, misspelled, read_transforms, write_atomically, write_transforms
 
 VIEWS = [(0, 0, 0), (0, 0, 1), (1, 0, 0)]
 BOX = {"branch": 1, "step": 0, "center": [1, 2.5, 0], "size": [4, 2, 1.5], "yaw": 0.1}
@@ -19,8 +20,9 @@ BOX = {"branch": 1, "step": 0, "center": [1, 2.5, 0], "size": [4, 2, 1.5], "yaw"
 @pytest.mark.parametrize(
     "text, sentence",
     [
-        (b'{"frames": [NaN]}', "the token NaN is not JSON"),
-        (b'{"w": -Infinity}', "the token -Infinity is not JSON"),
+        (b'{"frames": [NaN]}', "the token NaN in line 1 is not JSON"),
+        (b'{"name": "NaN",\n "w": 1,\n "h":\n NaN}', "the token NaN in line 4 is not JSON"),
+        (b'{"w": -Infinity}', "the token -Infinity in line 1 is not JSON"),
         (b'{"w": 1e999}', "1e999 is too large"),
         (b'{"w": ' + b"9" * 5000 + b"}", "is not strict JSON"),
         (b'{"w": 1, "h": 2, "w": 3}', "the key 'w' appears twice"),
@@ -131,6 +133,23 @@ def test_a_complete_set_of_extras_has_no_problems():
     assert check_extras(document, VIEWS) == [] and check_extras({}, VIEWS) == []
 
 
+def test_keys_of_other_tools_are_left_alone():
+    others = {
+        "aabb_scale": 16,
+        "applied_transform": [],
+        "ply_file_path": "x.ply",
+        "camera_model": "OPENCV",
+        "offset": 1,
+    }
+    assert check_extras(others, VIEWS) == []
+    frame = {"depth_file_path": "x", "mask_path": "y", "colmap_im_id": 3, "sharpness": 1.0}
+    assert misspelled(frame, FRAME_KEYS) == []
+    assert misspelled({"brnch": 1, "splits": "train"}, FRAME_KEYS) == [
+        "has the unknown key 'brnch'; did you mean 'branch'?",
+        "has the unknown key 'splits'; did you mean 'split'?",
+    ]
+
+
 @pytest.mark.parametrize(
     "document, sentence",
     [
@@ -169,6 +188,8 @@ def test_a_complete_set_of_extras_has_no_problems():
         ({"visibility": {"truck": [[0, 0, 9, 1, 2]]}}, "names branch 0 step 0 camera 9, which no frame shows"),
         ({"visibility": {"truck": [[0, 0, 1, 3, 2]]}}, "visibility.truck[0] has 3 visible pixels but only 2"),
         ({"world": "intersection"}, "world must be an object"),
+        ({"branch_weight": [1.0, 1.0]}, "has the unknown key 'branch_weight'; did you mean 'branch_weights'?"),
+        ({"scene-box": [[0, 0, 0], [1, 1, 1]]}, "has the unknown key 'scene-box'; did you mean 'scene_box'?"),
     ],
 )
 def test_a_bad_extra_is_named(document, sentence):

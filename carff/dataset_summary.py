@@ -1,0 +1,34 @@
+"""What a data set holds, and which parts of the pipeline it is enough for, in words: read before training on it."""
+
+from carff.states import StateTable
+from hashnerf.posed_images import SPLITS, PosedImages, missing_views
+
+
+def summarise(data: PosedImages, table: StateTable) -> list[str]:
+    """Returns a few lines: views, states, cameras, splits, pictures that are missing, and what cannot be done."""
+    cameras = {name: len({frame.camera for frame in data.frames if frame.split == name}) for name in SPLITS}
+    size = f"{data.cameras.width} x {data.cameras.height} pixels"
+    branches = len({branch for branch, _ in table.states})
+    lines = [
+        f"{len(data)} views of {len(table)} states in {branches} branches, {size}",
+        "cameras: " + ", ".join(f"{count} {name}" for name, count in cameras.items()),
+    ]
+    missing = missing_views(data)
+    if missing:
+        shown = ", ".join(map(str, missing[:3])) + (", ..." if len(missing) > 3 else "")
+        lines.append(f"{len(missing)} (branch, step, camera) without a picture: {shown}")
+    return lines + [f"note: {reason}" for reason in limits(table)]
+
+
+def limits(table: StateTable) -> list[str]:
+    """Returns one sentence for each part of the pipeline that the data set is not enough for."""
+    reasons = []
+    if not (table.view_index("train") >= 0).any():
+        reasons.append("no view has the split `train`: nothing can be trained")
+    if not (table.successor >= 0).any():
+        reasons.append("every branch has a single step: train_mdn.py will refuse, as a forecast needs two or more")
+    if not any(table.actors):
+        reasons.append("no `actors`: futures can be rendered, but not read as present or absent")
+    if table.hazard is None:
+        reasons.append("`states` do not say what is a hazard: no decisions")
+    return reasons

@@ -1,0 +1,30 @@
+"""What a data set is said to hold and to lack."""
+
+from dataclasses import replace
+
+from carff.dataset_summary import limits, summarise
+from carff.states import build_state_table
+
+
+def test_a_complete_data_set(tiny_data, tiny_table):
+    assert summarise(tiny_data, tiny_table) == [
+        "16 views of 4 states in 2 branches, 32 x 32 pixels",
+        "cameras: 4 train, 0 val, 0 test",
+    ]
+
+
+def test_missing_pictures_are_named(tiny_data):
+    part = tiny_data.select(list(range(1, len(tiny_data))))
+    gone = tiny_data.frames[0]
+    line = summarise(part, build_state_table(part))[2]
+    assert line == f"1 (branch, step, camera) without a picture: {(gone.branch, gone.step, gone.camera)}"
+
+
+def test_every_lack_has_a_sentence(tiny_data):
+    first_steps = [row for row, frame in enumerate(tiny_data.frames) if frame.step == 0]
+    bare = replace(tiny_data.select(first_steps), extras={})
+    bare = replace(bare, frames=tuple(replace(frame, split="test") for frame in bare.frames))
+    reasons = limits(build_state_table(bare))
+    for word in ("nothing can be trained", "train_mdn.py will refuse", "`actors`", "no decisions"):
+        assert any(word in reason for reason in reasons), word
+    assert len(reasons) == 4
