@@ -1,7 +1,10 @@
 """Picture decoders of the PC-VAE: a latent and a target camera in, a picture out (CARFF 3.1: p(I | z, c'')).
 
-Both decoders answer two questions: `reconstruction_loss` (training: mean-squared error averaged over the pixels of the
-target pictures) and `pictures` (looking: float pictures in [0, 1]). `camera` is the row of a camera in the data set.
+Both decoders answer three questions: `reconstruction_errors` (training: squared error averaged over the pixels of the
+target pictures), `pixel_errors` (the same without any weights, for one state) and `pictures` (looking: float pictures
+in [0, 1]). `camera` is the row of a camera in the data set. Training targets are the mean pictures of the states that a
+latent may stand for, weighted by `chance` [b, states]: the squared error to the mean and the expected squared error to
+the states differ by a constant.
 
 * `components`: every camera's picture is its mean picture plus a few principal components of what changes there
   between the states; a small network gives the coefficients from the latent. Because the components are orthonormal,
@@ -71,6 +74,7 @@ class ComponentsDecoder(nn.Module):
     def fit_basis(self, pictures: UInt8[Tensor, "n h w 3"], view_index: Int[Tensor, "states cameras"]) -> None:
         """Computes each camera's mean and principal components; `view_index` holds picture rows, -1 where missing."""
         targets = torch.zeros(*view_index.shape, self.rank)
+        self.unreached = torch.zeros(view_index.shape)  # squared error that no coefficients can mend
         for camera in range(view_index.shape[1]):
             present = (view_index[:, camera] >= 0).nonzero()[:, 0]
             if len(present) == 0:
@@ -84,6 +88,8 @@ class ComponentsDecoder(nn.Module):
             basis = nn.functional.normalize(left.flip(1)[:, :rank].T.float() @ centred, dim=-1, eps=1e-6)
             self.basis[camera, :rank] = basis.half()
             targets[present, camera, :rank] = centred @ basis.T
+            left_over = centred.square().sum(dim=1) - targets[present, camera].square().sum(dim=1)
+            self.unreached[present, camera] = left_over.clamp(min=0)
         self.scale.copy_(targets.square().mean(dim=0).sqrt().clamp(min=1e-3))
         self.targets = targets
         self.target_valid = (view_index >= 0).float()
@@ -105,18 +111,30 @@ class ComponentsDecoder(nn.Module):
         """Returns every camera's coefficients."""
         return self.network(latents).unflatten(-1, self.scale.shape) * self.scale
 
-    def reconstruction_loss(
-        self, latents: Float[Tensor, "b d"], state: Int[Tensor, " b"], generator: torch.Generator
-    ) -> Float[Tensor, ""]:
-        """Returns the pixel-mean squared error over all target cameras, its components weighted by `balance`.
+    def reconstruction_errors(
+        self, latents: Float[Tensor, "b d"], chance: Float[Tensor, "b states"], generator: torch.Generator
+    ) -> Float[Tensor, " b"]:
+        """Returns each latent's pixel-mean squared error over all target cameras, components weighted by `balance`.
 
         The part of the pictures that no component reaches is left out: no latent can change it.
         """
         del generator  # every camera is a target: nothing to draw
-        target = self.targets.to(latents.device)[state]
-        valid = self.target_valid.to(latents.device)[state]
+        valid = self.target_valid.to(latents.device)
+        known = chance @ valid
+        target = torch.einsum("bs,scr->bcr", chance, self.targets.to(latents.device) * valid[:, :, None])
+        target = target / known.clamp(min=1e-12)[:, :, None]
         squared = ((self.coefficients(latents) - target).square() * self.weight.to(latents.device)).sum(dim=-1)
-        return (squared * valid).sum() / valid.sum().clamp(min=1) / self.mean.shape[1]
+        return (squared * known).sum(dim=1) / known.sum(dim=1).clamp(min=1e-12) / self.mean.shape[1]
+
+    def pixel_errors(
+        self, latents: Float[Tensor, "b d"], state: Int[Tensor, " b"], generator: torch.Generator
+    ) -> Float[Tensor, " b"]:
+        """Returns each latent's plain pixel-mean squared error to the pictures of a state, over all its cameras."""
+        del generator
+        state = state.to(self.targets.device)
+        squared = (self.coefficients(latents).to(self.targets.device) - self.targets[state]).square().sum(dim=-1)
+        valid = self.target_valid[state]
+        return ((squared + self.unreached[state]) * valid).sum(dim=1) / valid.sum(dim=1) / self.mean.shape[1]
 
     def pictures(self, latents: Float[Tensor, "b d"], camera: Int[Tensor, " b"]) -> Float[Tensor, "b h w 3"]:
         """Returns the picture of each latent from its camera."""
@@ -167,17 +185,30 @@ class ConvDecoder(nn.Module):
             return torch.sigmoid(raw + torch.logit(self.mean[camera], eps=0.02))
         return torch.sigmoid(raw)
 
-    def reconstruction_loss(
+    def reconstruction_errors(
+        self, latents: Float[Tensor, "b d"], chance: Float[Tensor, "b states"], generator: torch.Generator
+    ) -> Float[Tensor, " b"]:
+        """Returns each latent's mean squared error over the pixels of randomly drawn target cameras."""
+        chance = chance.repeat_interleave(self.targets_per_picture, dim=0).cpu()
+        known = chance @ (self.view_index >= 0).float()
+        camera = torch.multinomial((known > 0).float(), 1, generator=generator)[:, 0]
+        frames = self.view_index[:, camera]
+        share = chance * (frames >= 0).T / known.gather(1, camera[:, None])
+        target = torch.zeros(len(camera), *self.training_pictures.shape[1:], device=latents.device)
+        for frame, own in zip(frames, share.T):
+            if own.any():
+                picture = self.training_pictures[frame.clamp(min=0)].to(latents.device).float() / 255.0
+                target += own.to(latents.device)[:, None, None, None] * picture
+        shown = self.decode(latents.repeat_interleave(self.targets_per_picture, dim=0), camera.to(latents.device))
+        squared = (shown - target.permute(0, 3, 1, 2)).square().mean(dim=(1, 2, 3))
+        return squared.unflatten(0, (-1, self.targets_per_picture)).mean(dim=1)
+
+    def pixel_errors(
         self, latents: Float[Tensor, "b d"], state: Int[Tensor, " b"], generator: torch.Generator
-    ) -> Float[Tensor, ""]:
-        """Returns the mean squared error over pixels of randomly drawn target cameras."""
-        state = state.repeat_interleave(self.targets_per_picture)
-        present = (self.view_index[state.cpu()] >= 0).float()
-        camera = torch.multinomial(present, 1, generator=generator)[:, 0]
-        frame = self.view_index[state.cpu(), camera]
-        target = self.training_pictures[frame].to(latents.device).permute(0, 3, 1, 2).float() / 255.0
-        repeated = latents.repeat_interleave(self.targets_per_picture, dim=0)
-        return nn.functional.mse_loss(self.decode(repeated, camera.to(latents.device)), target)
+    ) -> Float[Tensor, " b"]:
+        """Returns each latent's mean squared error to the pictures of a state, from randomly drawn cameras."""
+        chance = nn.functional.one_hot(state, len(self.view_index)).float()
+        return self.reconstruction_errors(latents, chance, generator)
 
     def pictures(self, latents: Float[Tensor, "b d"], camera: Int[Tensor, " b"]) -> Float[Tensor, "b h w 3"]:
         """Returns the picture of each latent from its camera."""

@@ -28,7 +28,7 @@ class EncoderConfig:
     width: int = 48
     """Channels of the first stage of `conv`; the later stages have 2 and 4 times as many."""
     augment: float = 1.0
-    """Strength of shift, zoom and colour jitter on `conv` input during training; 0 switches it off."""
+    """Strength of shift and colour jitter on `conv` input during training; 0 switches it off."""
     dropout: float = 0.0
     """Dropout before the last layer."""
     vit_model: str = "google/vit-large-patch16-224"

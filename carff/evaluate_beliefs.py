@@ -71,9 +71,10 @@ def svm_scores(evaluation: EvaluationData) -> tuple[dict, dict[str, str]]:
     train, test = (evaluation.views.select(rows) for rows in (evaluation.views.train, evaluation.views.test))
     train_groups = torch.where(evaluation.table.view_index("train") >= 0, evaluation.groups, -1)
     scores: dict = {"svm_ceiling": state_ceiling(train_groups)}
-    sizes = group_sizes(train_groups)[train.state, train.camera].double()
-    if train.shows_actor.any():
-        scores["svm_visible_ceiling"] = float((1 / sizes[train.shows_actor]).mean())
+    for name, part in (("svm_visible", train), ("svm_visible_heldout", test)):
+        if part.shows_actor.any():
+            sizes = group_sizes(evaluation.groups)[part.state, part.camera].double()
+            scores[f"{name}_ceiling"] = float((1 / sizes[part.shows_actor]).mean())
     means, labels = train.belief.mean.numpy(), train.state.numpy()
     try:
         score = svm_accuracy(means, labels, groups=train.picture.numpy())

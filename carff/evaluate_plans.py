@@ -19,6 +19,7 @@ from torch import Tensor
 
 from carff.charts import planning_chart
 from carff.decisions import decide_from_pictures, sample_scores_ahead
+from carff.evaluate_probe import evidence_px
 from carff.evaluation_data import EvaluationData, Part, Views
 from carff.figure_style import png_bytes
 from carff.model import CarffModel
@@ -62,6 +63,7 @@ def evaluate_plans(evaluation: EvaluationData) -> Part:
         "notes": list(pictures.notes),
     }
     images["notes"].insert(0, _counted(images))
+    images["pictures"] = _picture_rows(evaluation, views, pictures, decisions["risk", 10])
     milliseconds = decision_milliseconds(
         evaluation.model, evaluation.data.images[views.frame], TIMED_SAMPLES, evaluation.generator(10)
     )
@@ -151,6 +153,25 @@ def decision_milliseconds(model: CarffModel, pictures: Tensor, n: int, generator
         decide_from_pictures(model, picture, model.config.planner, n, generator)
         times.append(1000 * (time.perf_counter() - start))
     return statistics.median(times[WARM_UP:])
+
+
+def _picture_rows(
+    evaluation: EvaluationData, views: Views, pictures: TrialPictures, go: Bool[np.ndarray, "images trials"]
+) -> list[dict]:
+    """Returns what each picture was, and the share of its trials in which the risk rule at n = 10 was right."""
+    evidence = evidence_px(evaluation)[views.state, views.camera]
+    right = np.where(pictures.hazard.numpy()[:, None], ~go, go).mean(axis=1)
+    return [
+        {
+            "camera": int(views.camera[i]),
+            "state": list(evaluation.table.states[int(views.state[i])]),
+            "test": bool(views.test[i]),
+            "kind": _KINDS[0] if pictures.hazard[i] else _KINDS[1],
+            "evidence_px": int(evidence[i]),
+            "success": float(right[i]),
+        }
+        for i in range(len(views))
+    ]
 
 
 def _counted(images: dict) -> str:

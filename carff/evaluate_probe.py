@@ -6,6 +6,9 @@ answer is right when its boxes are the true ones, and *absent* is among the answ
 state whose boxes are empty. *Unknown* is never right.
 """
 
+import math
+from itertools import pairwise
+
 import numpy as np
 import torch
 from jaxtyping import Bool, Int
@@ -17,6 +20,9 @@ from carff.evaluation_data import EvaluationData, Part, one_label
 from carff.figure_style import png_bytes
 from carff.latent_metrics import subset_accuracy
 from carff.probe import UNKNOWN
+from carff.scene_metrics import CHANGE_THRESHOLD
+
+EVIDENCE = (0, 10, 30, 100, math.inf)  # pixels: a mirror, a car far away, a car, a car near by
 
 
 def evaluate_probe(evaluation: EvaluationData) -> Part:
@@ -42,6 +48,7 @@ def evaluate_probe(evaluation: EvaluationData) -> Part:
             f"{name}interval": found["interval"],
             f"{name}views": found["count"],
         }
+    results["by_evidence"] = accuracy_by_evidence(correct, evidence_px(evaluation)[views.state, views.camera].numpy())
     results["unknown"] = float((answers == UNKNOWN).float().mean())
     distinct = same.unique()
     counts = confusion(truth, answers, distinct)
@@ -50,6 +57,37 @@ def evaluate_probe(evaluation: EvaluationData) -> Part:
     title = f"State read from the density, {len(views)} views"
     figure = confusion_heatmap(counts, names, [*names, "unknown"], title)
     return Part({"probe": results}, {"probe_confusion": png_bytes(figure)}, {})
+
+
+def evidence_px(evaluation: EvaluationData) -> Int[Tensor, "states cameras"]:
+    """Returns in how many pixels each view differs from the most similar view that asks for another answer.
+
+    Compared are the views of one camera; pixels count from `CHANGE_THRESHOLD` on, as in the pictures' figures. A view
+    without such another view has all its pixels.
+    """
+    views, images = evaluation.table.views, evaluation.data.images
+    same = evaluation.same_boxes
+    evidence = torch.full(views.shape, images.shape[1] * images.shape[2])
+    for camera in range(views.shape[1]):
+        states = (views[:, camera] >= 0).nonzero()[:, 0]
+        pictures = images[views[states, camera]].short()
+        for state, picture in zip(states.tolist(), pictures):
+            changed = ((pictures - picture).abs().amax(dim=-1) > CHANGE_THRESHOLD * 255).sum(dim=(1, 2))
+            others = changed[same[states] != same[state]]
+            if len(others):
+                evidence[state, camera] = others.min()
+    return evidence
+
+
+def accuracy_by_evidence(correct: Bool[np.ndarray, " n"], evidence: Int[np.ndarray, " n"]) -> list[dict]:
+    """Returns accuracy and number of views for each class of `EVIDENCE`."""
+    rows = []
+    for low, high in pairwise(EVIDENCE):
+        inside = (evidence >= low) & (evidence < high)
+        found = subset_accuracy(correct, inside)
+        top = None if math.isinf(high) else high
+        rows.append({"low": low, "high": top, "views": int(inside.sum()), "accuracy": found["accuracy"]})
+    return rows
 
 
 def confusion(

@@ -48,6 +48,8 @@ class NerfConfig:
     """Latents per state that the occupancy grid covers at each update."""
     birds_eye_steps: int = 0
     """Further steps on a copy of the field that also sees the bird's-eye camera (the paper trains on it)."""
+    new_share: float = 0.5
+    """Share of the rays of those steps, changed pixels apart, that go through the bird's-eye camera."""
     save_every: int = 500
     """Steps between checkpoints."""
 
@@ -57,8 +59,9 @@ class NerfConfig:
                 raise UserError(f"nerf.{key} is {getattr(self, key)}; give at least 1")
         if self.birds_eye_steps < 0:
             raise UserError(f"nerf.birds_eye_steps is {self.birds_eye_steps}; give 0 (none) or more")
-        if not 0 <= self.changed_share <= 1:
-            raise UserError(f"nerf.changed_share is {self.changed_share}; give a value from 0 to 1")
+        for key in ("changed_share", "new_share"):
+            if not 0 <= getattr(self, key) <= 1:
+                raise UserError(f"nerf.{key} is {getattr(self, key)}; give a value from 0 to 1")
         if not 0 <= self.fresh_start <= self.fresh_end:
             raise UserError(f"nerf.fresh_end is {self.fresh_end}; give at least fresh_start = {self.fresh_start}")
 

@@ -50,12 +50,14 @@ def train_nerf(
     steps: int,
     fabric: Fabric | None = None,
     overwrite: bool = False,
+    known: Int[Tensor, "states cameras"] | None = None,
 ) -> None:
     """Trains on the given views in a run folder; the model saved there holds the averaged weights.
 
-    `record` is what the run folder keeps as its config.
+    `record` is what the run folder keeps as its config. `known` holds the views of an earlier training that this one
+    continues: `config.new_share` of the rays go through the other cameras.
     """
-    rays = build_state_rays(data.images, data.cameras, view_index)
+    rays = build_state_rays(data.images, data.cameras, view_index, known)
     bank = nerf.bank
     device = nerf.latent_centre.device
     usable = (view_index >= 0).any(dim=1).nonzero()[:, 0]
@@ -71,7 +73,7 @@ def train_nerf(
         states = usable[order]
         latents = bank.draw(states, config.fresh_share(step), generator)
         of_ray = torch.arange(count) % groups
-        drawn, colour = rays.draw(states[of_ray], config.changed_share, generator)
+        drawn, colour = rays.draw(states[of_ray], config.changed_share, generator, config.new_share)
         moved = Rays(drawn.origins.to(device), drawn.directions.to(device))
         return RayBatch(moved, colour.to(device), nerf.condition(latents), of_ray.to(device))
 

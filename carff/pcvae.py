@@ -31,6 +31,8 @@ class PcvaeConfig:
     """Training steps."""
     batch_size: int = 64
     """Pictures encoded per step."""
+    hard_share: float = 0.7
+    """Share of the pictures of a step that are drawn in proportion to their error; the others are drawn evenly."""
     lr: float = 0.002
     """Peak learning rate of Adam; it falls to zero along a cosine."""
     kl_start: float = 1e-6
@@ -51,6 +53,8 @@ class PcvaeConfig:
         for key in ("kl_start", "kl_end"):
             if not 0 <= getattr(self, key) < math.inf:
                 raise UserError(f"pcvae.{key} is {getattr(self, key)}; give 0 or a positive number")
+        if not 0 <= self.hard_share <= 1:
+            raise UserError(f"pcvae.hard_share is {self.hard_share}; give a value from 0 to 1")
         if not self.lr > 0:
             raise UserError(f"pcvae.lr is {self.lr}; give a positive learning rate")
         if self.kl_ramp_end < self.kl_ramp_start:

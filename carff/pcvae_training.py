@@ -4,18 +4,22 @@ import math
 from pathlib import Path
 
 import torch
+from jaxtyping import Int
+from torch import Tensor
 from torch.nn.utils import clip_grad_norm_
 
 from carff.beliefs import kl_to_standard_normal, reparameterise
 from carff.model_files import save_model
 from carff.pcvae import Pcvae, PcvaeConfig
 from carff.schedules import delayed_linear
-from carff.states import StateTable
+from carff.states import StateTable, ambiguous_groups, state_chances
+from carff.view_priority import ViewPriority
 from hashnerf.finite_steps import FiniteSteps
 from hashnerf.posed_images import PosedImages
 from hashnerf.training_run import TrainingRun
 
 LOG_EVERY = 10
+WARM_UP = 50  # steps
 # Adam divides the gradient's scale out again, but adds 1e-8 first, and an error of 1e-3 has gradients not far above it.
 LOSS_SCALE = 1e3
 GRADIENT_LIMIT = 10.0
@@ -46,15 +50,22 @@ def train_pcvae(
     generator = torch.Generator().manual_seed(seed)
     noise = torch.Generator(device=device).manual_seed(seed)
     guard = FiniteSteps()
-    objects = {"pcvae": pcvae, "optimizer": optimizer}
+    # Equal pictures of several states ask for all of them at once. The expected gradient is that of asking for one of
+    # them at random, and the noise of the choice is gone: what is left of a view's error can be unlearnt.
+    chances = state_chances(ambiguous_groups(data.images, view_index), table.branch_weight[table.branch])
+    wanted = chances[states, cameras].to(device)
+    priority = ViewPriority(len(frames), config.hard_share, WARM_UP)
+    objects = {"pcvae": pcvae, "optimizer": optimizer, "priority": priority}
     pcvae.train()
     generators = {"batches": generator, "noise": noise}
     with TrainingRun(folder, record, config.steps, objects, generators, config.save_every, overwrite=overwrite) as run:
         for step in run.steps():
-            rows = torch.randint(len(frames), (config.batch_size,), generator=generator)
+            rows = priority.draw(config.batch_size, generator)
             belief = pcvae.encode_prepared(prepared[rows].to(device), generator)
             latents = reparameterise(belief, noise)
-            error = pcvae.decoder.reconstruction_loss(latents, states[rows].to(device), generator)
+            errors = pcvae.decoder.reconstruction_errors(latents, wanted[rows], generator)
+            priority.record(rows, errors.detach().cpu())
+            error = errors.mean()
             divergence = kl_to_standard_normal(belief).mean()
             epoch = step * config.batch_size / len(frames)
             weight = delayed_linear(epoch, config.kl_start, config.kl_end, config.kl_ramp_start, config.kl_ramp_end)
@@ -65,13 +76,31 @@ def train_pcvae(
             if guard.accepts(step, {"error": error.detach(), "kl": divergence.detach(), "gradient": norm}):
                 optimizer.step()
             if step % LOG_EVERY == 0 or step + 1 == config.steps:
-                psnr = -10 * math.log10(max(float(error.detach()), 1e-10))
+                psnr = even_psnr_db(pcvae, prepared, states, step)
                 run.log(step, error=error, kl=divergence, kl_weight=weight, psnr=psnr, skipped=guard.skipped)
         save_model(folder, pcvae, run)
     pcvae.eval()
 
 
-def rate_factor(step: int, steps: int, warm_up: int = 50) -> float:
+@torch.no_grad()
+def even_psnr_db(pcvae: Pcvae, prepared: Tensor, states: Int[Tensor, " n"], step: int, count: int = 64) -> float:
+    """Returns the PSNR (dB) of decoded posterior samples of `count` views drawn evenly, encoded without jitter.
+
+    It is the mean squared error of all cameras' pictures to those of each view's own state, hidden or not: the training
+    error is lower, as it asks for no more than a picture tells, and higher, as it favours hard views.
+    """
+    device = next(pcvae.parameters()).device
+    generator = torch.Generator().manual_seed(step)
+    rows = torch.randint(len(states), (count,), generator=generator)
+    pcvae.eval()
+    belief = pcvae.encode_prepared(prepared[rows].to(device)).to("cpu")
+    latents = reparameterise(belief, generator).to(device)
+    errors = pcvae.decoder.pixel_errors(latents, states[rows].to(device), generator)
+    pcvae.train()
+    return -10 * math.log10(max(float(errors.mean()), 1e-10))
+
+
+def rate_factor(step: int, steps: int, warm_up: int = WARM_UP) -> float:
     """Returns a linear warm-up followed by a cosine fall to zero."""
     progress = step / max(steps, 1)
     return min(1.0, (step + 1) / warm_up) * 0.5 * (1 + math.cos(math.pi * progress))

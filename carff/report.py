@@ -126,12 +126,19 @@ def _summary_row(verdict: Verdict) -> dict[str, str]:
         "key": target.key,
         "label": target.label,
         "target": "–" if verdict.limit is None else f"{sign} {_plain(number(verdict.limit, unit))}",
-        "measured": f"not run: {verdict.reason}" if verdict.measured is None else number(verdict.measured, unit),
+        "measured": _measured(verdict),
         "status": {True: "met", False: "missed", None: "not judged" if verdict.measured is not None else "not run"}[
             verdict.met
         ],
         "paper": target.paper,
     }
+
+
+def _measured(verdict: Verdict) -> str:
+    if verdict.measured is None:
+        return f"not run: {verdict.reason}"
+    value = number(verdict.measured, verdict.target.unit)
+    return f"{value} ({verdict.reason})" if verdict.reason else value
 
 
 def _plain(text: str) -> str:

@@ -67,6 +67,7 @@ def pcvae_tables(results: Mapping) -> list[Table]:
         ("svm_visible_ceiling", "ceiling: what the pixels of those views allow"),
         ("svm_determined", "training views that determine their state"),
         ("svm_visible_heldout", "held-out cameras, actor visible"),
+        ("svm_visible_heldout_ceiling", "ceiling: what the pixels of those views allow"),
         ("svm_heldout", "held-out cameras, all views"),
     )
     rows = tuple(
@@ -102,9 +103,14 @@ def scene_tables(results: Mapping) -> list[Table]:
     probe = results.get("probe", {})
     tables = [Table(("bird's-eye view", "camera trained on", "camera held out"), rows + found)]
     if probe.get("accuracy") is not None:
-        tables.append(
-            Table(("density probe", "accuracy"), (("all answers", share(probe["accuracy"], probe.get("interval"))),))
-        )
+        found = [("all answers", number(probe.get("views")), share(probe["accuracy"], probe.get("interval")))]
+        for row in probe.get("by_evidence", ()):
+            title = (
+                f"{row['low']} pixels or more" if row["high"] is None else f"{row['low']} to {row['high'] - 1} pixels"
+            )
+            found.append((title, number(row["views"]), number(row["accuracy"], "%")))
+        note = "Rows by pixels: in how many a view differs from the most similar one that asks for another answer."
+        tables.append(Table(("density probe", "views", "accuracy"), tuple(found), note))
     return tables
 
 

@@ -50,7 +50,7 @@ def _cell(report: dict, key: str, unit: str) -> str:
         return "not run"
     value = number(lookup(report, key) if lookup(report, key) is not None else row["measured"], unit)
     if row["target"] is None:
-        return value
+        return f"{value} ({row['reason']})" if row.get("reason") else value
     sign = {">=": "≥", "<=": "≤", "==": "="}[row["comparison"]]
     verdict = "met" if row["met"] else "**missed**"
     return f"{value} ({verdict}, target {sign} {number(row['target'], unit)})"

@@ -105,7 +105,9 @@ def run_nerf(config: CarffConfig) -> None:
             seed=fit.seed + 1,
         ),
     )
-    train_nerf(settled, nerf, data, views, config.folder / "nerf_birds_eye", record, more, fabric, config.overwrite)
+    train_nerf(
+        settled, nerf, data, views, config.folder / "nerf_birds_eye", record, more, fabric, config.overwrite, held_out
+    )
 
 
 def run_mdn(config: CarffConfig) -> None:

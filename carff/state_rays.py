@@ -30,11 +30,16 @@ class StateRays:
     view_index: Int[Tensor, "states cams"]
     changed: Int[Tensor, "changes 3"]
     """Row, column and camera of every changed pixel."""
+    new: Int[Tensor, " new"]
+    """Cameras that an earlier training has not seen."""
 
     def draw(
-        self, states: Int[Tensor, " rays"], changed_share: float, generator: torch.Generator
+        self, states: Int[Tensor, " rays"], changed_share: float, generator: torch.Generator, new_share: float = 0.0
     ) -> tuple[Rays, Float[Tensor, "rays 3"]]:
-        """Draws one pixel per requested state and returns its ray and colour in [0, 1]."""
+        """Draws one pixel per requested state and returns its ray and colour in [0, 1].
+
+        `changed_share` of them are changed pixels; of the others `new_share` belong to new cameras.
+        """
         count = len(states)
         height, width = self.pictures.shape[1:3]
         present = self.view_index >= 0
@@ -43,6 +48,10 @@ class StateRays:
         number = present.sum(dim=1)[states]
         place = (torch.rand(count, generator=generator) * number).long().minimum(number - 1)
         camera = cameras[states, place]
+        if len(self.new) and new_share > 0:
+            pick = self.new[torch.randint(len(self.new), (count,), generator=generator)]
+            use = (torch.rand(count, generator=generator) < new_share) & present[states, pick]
+            camera = torch.where(use, pick, camera)
         row = torch.randint(height, (count,), generator=generator)
         column = torch.randint(width, (count,), generator=generator)
         if len(self.changed) and changed_share > 0:
@@ -59,9 +68,15 @@ class StateRays:
 
 
 def build_state_rays(
-    pictures: UInt8[Tensor, "frames h w 3"], cameras: Cameras, view_index: Int[Tensor, "states cams"]
+    pictures: UInt8[Tensor, "frames h w 3"],
+    cameras: Cameras,
+    view_index: Int[Tensor, "states cams"],
+    known: Int[Tensor, "states cams"] | None = None,
 ) -> StateRays:
-    """Collects the changed pixels of every camera; `view_index` holds frame rows, -1 where a view is missing."""
+    """Collects the changed pixels of every camera; `view_index` holds frame rows, -1 where a view is missing.
+
+    `known` holds the views that an earlier training has seen; cameras without any there are new.
+    """
     parts = []
     for camera in range(view_index.shape[1]):
         frames = view_index[:, camera]
@@ -71,4 +86,7 @@ def build_state_rays(
         where = changed_mask(pictures[frames]).nonzero()
         parts.append(torch.cat([where, torch.full((len(where), 1), camera)], dim=1))
     changed = torch.cat(parts) if parts else torch.zeros(0, 3, dtype=torch.int64)
-    return StateRays(pictures, cameras, view_index, changed)
+    is_new = torch.zeros(view_index.shape[1], dtype=torch.bool)
+    if known is not None:
+        is_new = (view_index >= 0).any(dim=0) & ~(known >= 0).any(dim=0)
+    return StateRays(pictures, cameras, view_index, changed, is_new.nonzero()[:, 0])

@@ -250,6 +250,8 @@ def ambiguous_groups(
     groups = torch.full_like(views, -1)
     for camera in range(views.shape[1]):
         states = (views[:, camera] >= 0).nonzero()[:, 0]
+        if len(states) == 0:
+            continue
         pictures = images[views[states, camera]].to(torch.int16).flatten(1)
         same = torch.stack([(pictures - picture).abs().amax(dim=1) <= tolerance for picture in pictures])
         groups[states, camera] = states[connected_groups(same)]
@@ -260,6 +262,18 @@ def group_sizes(groups: Int[Tensor, "states cameras"]) -> Int[Tensor, "states ca
     """Returns the number of states in each view's group; 0 where there is no view."""
     equal = (groups[:, None] == groups[None]) & (groups >= 0)[None]
     return equal.sum(dim=1)
+
+
+def state_chances(
+    groups: Int[Tensor, "states cameras"], weight: Float[Tensor, " states"]
+) -> Float[Tensor, "states cameras states"]:
+    """Returns how probable each state is given a view's picture: states with equal pictures share it by `weight`.
+
+    Zero everywhere without a view.
+    """
+    equal = (groups[:, :, None] == groups.T[None]) & (groups >= 0)[:, :, None]
+    shared = equal * weight
+    return shared / shared.sum(dim=-1, keepdim=True).clamp(min=1e-30)
 
 
 def state_ceiling(groups: Int[Tensor, "states cameras"]) -> float:

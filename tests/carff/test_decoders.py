@@ -24,17 +24,51 @@ def components(states: int = 4, cameras: int = 3, size: int = 8, rank: int = 16)
 def test_coefficient_loss_equals_the_loss_on_pixels():
     decoder = components()
     pictures, index = pictures_and_index()
-    latents, state = torch.randn(5, 8), torch.tensor([0, 1, 2, 3, 1])
-    pixel_errors = []
+    latents, state = torch.randn(5, 8), [0, 1, 2, 3, 1]
+    errors = decoder.reconstruction_errors(latents, torch.eye(4)[state], torch.Generator())
     for row in range(5):
+        pixel_errors = []
         for camera in range(3):
             own = decoder.coefficients(latents)[row, camera]
             flat = decoder.mean[camera] + own @ decoder.basis[camera].float()
             target = pictures[index[state[row], camera]].flatten().float() / 255
             pixel_errors.append((flat - target).square().mean())
-    loss = decoder.reconstruction_loss(latents, state, torch.Generator())
-    # Four states span three dimensions around their mean, so three components leave nothing out.
-    assert torch.isclose(loss, torch.stack(pixel_errors).mean(), rtol=2e-3)
+        # Four states span three dimensions around their mean, so three components leave nothing out.
+        assert torch.isclose(errors[row], torch.stack(pixel_errors).mean(), rtol=2e-3)
+
+
+@pytest.mark.parametrize("kind", ["components", "conv"])
+def test_the_error_to_the_mean_picture_is_the_expected_error_but_for_a_constant(kind):
+    pictures, index = pictures_and_index()
+    if kind == "components":
+        decoder = components()
+    else:
+        torch.manual_seed(0)
+        decoder = ConvDecoder(DecoderConfig(kind="conv", width=16, targets=1), 8, torch.eye(3), 8)
+        decoder.fit_basis(pictures, index)
+    chance = torch.tensor([[0.5, 0.0, 0.3, 0.2]])
+
+    def errors(latents: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+        return decoder.reconstruction_errors(latents, wanted, torch.Generator().manual_seed(5))  # one camera for all
+
+    gaps = []
+    for latents in (torch.randn(1, 8), torch.randn(1, 8)):
+        alone = torch.cat([errors(latents, torch.eye(4)[state][None]) for state in range(4)])
+        gaps.append((chance[0] * alone).sum() - errors(latents, chance)[0])
+    assert gaps[0] > 1e-3 and torch.isclose(gaps[0], gaps[1], rtol=1e-3)
+
+
+@pytest.mark.parametrize("rank", [1, 16])
+def test_pixel_errors_are_those_of_the_pictures(rank):
+    decoder = components(rank=rank)
+    decoder.weight = decoder.weight * 7  # training weights must not count
+    pictures, index = pictures_and_index()
+    latents = torch.randn(1, 8) * 0.1
+    own = decoder.coefficients(latents)[0]
+    flat = decoder.mean + torch.einsum("cr,crp->cp", own, decoder.basis.float())
+    expected = (flat - pictures[index[2]].flatten(1).float() / 255).square().mean()
+    found = decoder.pixel_errors(latents, torch.tensor([2]), torch.Generator())
+    assert torch.isclose(found[0], expected, rtol=2e-3)
 
 
 def test_true_coefficients_give_the_true_picture():
@@ -51,10 +85,11 @@ def test_a_missing_view_adds_nothing_to_the_loss():
     index = index.clone()
     index[2, 1] = -1
     decoder.fit_basis(pictures, index)
-    latents, state = torch.randn(1, 8), torch.tensor([2])
-    before = decoder.reconstruction_loss(latents, state, torch.Generator())
-    decoder.targets[2, 1] += 100.0
-    assert decoder.reconstruction_loss(latents, state, torch.Generator()) == before
+    latents = torch.randn(1, 8)
+    for chance in (torch.tensor([[0.0, 0, 1, 0]]), torch.tensor([[0.5, 0, 0.5, 0]])):
+        before = decoder.reconstruction_errors(latents, chance, torch.Generator())
+        decoder.targets[2, 1] += 100.0
+        assert decoder.reconstruction_errors(latents, chance, torch.Generator()) == before
 
 
 def test_one_state_and_a_camera_without_pictures_are_finite():
@@ -62,9 +97,9 @@ def test_one_state_and_a_camera_without_pictures_are_finite():
     decoder = ComponentsDecoder(DecoderConfig(width=16), 8, 2, 1, 8, 8)
     pictures, _ = pictures_and_index(1, 1)
     decoder.fit_basis(pictures, torch.tensor([[0, -1]]))
-    loss = decoder.reconstruction_loss(torch.randn(2, 8), torch.tensor([0, 0]), torch.Generator())
-    loss.backward()
-    assert torch.isfinite(loss)
+    errors = decoder.reconstruction_errors(torch.randn(2, 8), torch.ones(2, 1), torch.Generator())
+    errors.mean().backward()
+    assert torch.isfinite(errors).all()
     assert all(torch.isfinite(p.grad).all() for p in decoder.parameters())
 
 
@@ -78,11 +113,11 @@ def test_conv_decoder_learns_one_picture_per_state(camera):
     pictures = torch.zeros(4, 16, 16, 3, dtype=torch.uint8)
     pictures[1], pictures[2, :8], pictures[3, :, :8] = 200, 200, 200
     decoder.fit_basis(pictures, torch.tensor([[0, 1], [2, 3]]))
-    latents, state = torch.eye(2), torch.tensor([0, 1])
+    latents = torch.eye(2)
     optimizer = torch.optim.Adam(decoder.parameters(), lr=0.01)
     generator = torch.Generator().manual_seed(0)
     for _ in range(150):
-        loss = decoder.reconstruction_loss(latents, state, generator)
+        loss = decoder.reconstruction_errors(latents, torch.eye(2), generator).mean()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

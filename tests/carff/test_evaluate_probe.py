@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from carff.evaluate_probe import class_name, confusion, evaluate_probe
+from carff.evaluate_probe import accuracy_by_evidence, class_name, confusion, evaluate_probe, evidence_px
 
 
 def test_a_run_that_knows_everything_is_right_on_every_settled_view(tiny_evaluation):
@@ -39,6 +39,26 @@ def test_without_settled_pictures_there_is_a_reason(tiny_evaluation):
     hidden = tiny_evaluation.views.select(tiny_evaluation.views.camera == 0)
     part = evaluate_probe(replace(tiny_evaluation, views=hidden))
     assert "probe" in part.not_run and not part.results
+
+
+def test_evidence_is_the_smallest_difference_that_matters(tiny_evaluation):
+    evidence = evidence_px(tiny_evaluation)
+    # Camera 0 shows absent and present alike. Elsewhere the truck fills 12 x 12 = 144 pixels, and the ego's own move
+    # from one step to the next changes 2 x 4 x 8 = 64; where the truck stands it moves too, which changes more.
+    assert evidence[:, 0].tolist() == [0, 0, 0, 0]
+    assert (evidence[:2, 1:] == 64).all() and (evidence[2:, 1:] == 144).all()
+    tiny_evaluation.model.probe.candidates.occupied[:] = True  # now every state asks for the same answer
+    assert (evidence_px(tiny_evaluation) == 32 * 32).all()
+
+
+def test_accuracy_by_evidence_by_hand():
+    rows = accuracy_by_evidence(np.array([True, False, True, True]), np.array([9, 0, 10, 5000]))
+    assert [(row["low"], row["high"], row["views"], row["accuracy"]) for row in rows] == [
+        (0, 10, 2, 0.5),
+        (10, 30, 1, 1.0),
+        (30, 100, 0, None),
+        (100, None, 1, 1.0),
+    ]
 
 
 def test_confusion_by_hand():

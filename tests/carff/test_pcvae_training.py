@@ -2,10 +2,11 @@
 
 import torch
 
+from carff.beliefs import reparameterise
 from carff.encoders import EncoderConfig
 from carff.model_files import load_model
 from carff.pcvae import Pcvae, PcvaeConfig
-from carff.pcvae_training import rate_factor, train_pcvae
+from carff.pcvae_training import even_psnr_db, rate_factor, train_pcvae
 
 
 def config(steps: int) -> PcvaeConfig:
@@ -39,6 +40,23 @@ def test_saved_model_is_the_trained_one(tiny_data, tiny_table, tmp_path):
     loaded, cost = load_model(tmp_path / "run", lambda _: build(tiny_data, tiny_table, 20), "train_pcvae.py")
     assert torch.equal(loaded.encode(tiny_data.images).mean, pcvae.encode(tiny_data.images).mean)
     assert cost["seconds"] > 0
+
+
+def test_the_logged_psnr_is_that_of_the_decoded_pictures(tiny_data, tiny_table, tmp_path):
+    pcvae = train(tiny_data, tiny_table, tmp_path / "run", 60)
+    states, cameras = (tiny_table.views >= 0).nonzero(as_tuple=True)
+    frames = tiny_table.views[states, cameras]
+    logged = even_psnr_db(pcvae, tiny_data.images[frames], states, 0, count=500)
+    assert not any(module.training is False for module in pcvae.encoder.trunk)
+    belief = pcvae.encode(tiny_data.images[frames])
+    latents = reparameterise(belief, torch.Generator().manual_seed(1))
+    squared = []
+    for camera in range(4):
+        shown = pcvae.decode(latents, torch.full((len(frames),), camera))
+        truth = tiny_data.images[tiny_table.views[states, camera]].float() / 255
+        squared.append((shown - truth).square().mean())
+    expected = -10 * torch.log10(torch.stack(squared).mean())
+    assert abs(logged - expected) < 0.5, "the same but for which views were drawn, and pictures clamped to [0, 1]"
 
 
 def test_rate_warms_up_and_ends_at_zero():

@@ -38,7 +38,9 @@ def _fake_results(states: int = 6, branches: int = 2) -> dict:
             "svm_ceiling": 0.8,
             "svm_visible": 0.98,
             "svm_visible_interval": np.array([0.97, 0.99]),
+            "svm_visible_ceiling": 0.99,
             "svm_visible_heldout": 0.85,
+            "svm_visible_heldout_ceiling": 1.0,
         },
         "nerf": {
             "psnr_matched_db": 26.0,
@@ -90,7 +92,7 @@ def test_report_has_every_required_key_and_meets_its_targets(tmp_path, picture):
     assert page == tmp_path / "report.html" and document["run"]["commit"] == "abc1234"
     assert all(lookup(document, key) is not None for key in REQUIRED_KEYS)
     judged = [row for row in document["targets"] if row["target"] is not None]
-    assert len(judged) == 18 and all(row["met"] for row in judged)
+    assert len(judged) == 20 and all(row["met"] for row in judged)
     assert "18 of 18 judged figures meet their target" in page.read_text()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html", "report.json"]
 

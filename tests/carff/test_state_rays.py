@@ -53,6 +53,23 @@ def test_changed_share_one_draws_changed_pixels_only():
     assert torch.equal(colour, torch.ones(40, 3))
 
 
+def test_new_cameras_get_their_share():
+    pictures = torch.zeros(4, 4, 4, 3, dtype=torch.uint8)
+    views = torch.tensor([[0, 1, 3], [2, -1, 3]])
+    known = torch.tensor([[0, -1, 3], [2, -1, 3]])
+    rays_by_state = build_state_rays(pictures, cameras(4, 4), views, known)
+    assert rays_by_state.new.tolist() == [1]
+    states = torch.tensor([0, 1]).repeat(2000)
+
+    def shares(new_share: float) -> list[float]:
+        rays, _ = rays_by_state.draw(states, 0.0, torch.Generator().manual_seed(0), new_share)
+        return [float((rays.origins[states == state, 0] == 1).float().mean()) for state in (0, 1)]
+
+    assert shares(1.0) == [1.0, 0.0], "state 1 has no view from the new camera"
+    assert abs(shares(0.4)[0] - 0.6) < 0.05, "0.4, and a third of the 0.6 that three cameras share alike"
+    assert build_state_rays(pictures, cameras(4, 4), views).new.tolist() == []
+
+
 def test_equal_states_fall_back_to_uniform_pixels():
     pictures = torch.full((2, 4, 4, 3), 7, dtype=torch.uint8)
     rays_by_state = build_state_rays(pictures, cameras(2, 4), torch.tensor([[0], [1]]))

@@ -15,6 +15,7 @@ from carff.states import (
     determined,
     group_sizes,
     state_ceiling,
+    state_chances,
 )
 from hashnerf.cameras import Cameras
 from hashnerf.errors import DataError, UserError
@@ -234,3 +235,16 @@ def test_groups_of_a_chain_and_of_nothing():
 def test_no_views_have_no_ceiling():
     with pytest.raises(UserError, match="at least one view"):
         state_ceiling(torch.full((2, 2), -1))
+
+
+def test_equal_pictures_share_their_states_by_weight():
+    groups = torch.tensor([[0, 0], [0, 1], [2, -1]])
+    chances = state_chances(groups, torch.tensor([0.5, 0.25, 0.25]))
+    third = 1 / 3
+    assert torch.allclose(chances[:, 0], torch.tensor([[2 * third, third, 0], [2 * third, third, 0], [0, 0, 1.0]]))
+    assert torch.allclose(chances[:, 1], torch.tensor([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 0]]))
+
+
+def test_a_camera_without_any_view_has_no_groups():
+    images = torch.zeros(2, 2, 2, 3, dtype=torch.uint8)
+    assert ambiguous_groups(images, torch.tensor([[0, -1], [1, -1]])).tolist() == [[0, -1], [0, -1]]

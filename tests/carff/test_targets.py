@@ -52,6 +52,15 @@ def test_rounding_of_a_difference_does_not_miss_a_limit():
     assert _verdict(results, "plan.risk.n35_change", "balanced").met is False
 
 
+def test_a_limit_above_what_equal_pictures_allow_is_not_judged():
+    found = _verdict({"pcvae": {"svm_visible": 0.7, "svm_visible_ceiling": 0.742}}, "pcvae.svm_visible")
+    assert (found.met, found.limit, found.measured) == (None, None, 0.7)
+    assert found.reason == "equal pictures of different states allow 74.2% at most"
+    assert _verdict({"pcvae": {"svm_visible": 0.7, "svm_visible_ceiling": 0.98}}, "pcvae.svm_visible").met is False
+    gap = derived({"pcvae": {"svm_visible": 0.7, "svm_visible_ceiling": 0.742}})
+    assert _verdict(gap, "pcvae.svm_visible_gap").met is False, "0.042 is more than 3 points"
+
+
 def test_derived_differences_by_hand():
     results = derived(
         {
