@@ -15,6 +15,7 @@ from carff.model import CarffModel
 from carff.probe import UNKNOWN
 from hashnerf.errors import UserError
 from hashnerf.image_files import read_rgb, write_png
+from hashnerf.progress import say
 from hashnerf.transforms_json import write_atomically
 
 
@@ -70,6 +71,8 @@ def read_picture(path: Path, width: int, height: int) -> UInt8[Tensor, "h w 3"]:
         raise UserError(
             f"{path}: is {picture.shape[1]} x {picture.shape[0]} pixels; crop it to the aspect ratio {width} : {height}"
         )
+    if picture.shape[1] < width:
+        say(f"{path}: {picture.shape[1]} pixels wide, enlarged to {width}: what it lacks in detail stays unseen.")
     if picture.shape[1] != width:
         picture = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
     return torch.as_tensor(picture)

@@ -12,7 +12,8 @@ from hashnerf.transforms_json import read_transforms, write_atomically
 INTRODUCTION = """# Results
 
 Written by `python scripts/publish_results.py --runs '[RUN, ...]'` from the `report.json` of finished runs; nothing here
-is typed by hand. A target that was missed says so. The full reports hold the figures, intervals and pictures.
+is typed by hand. A target that was missed says so. The full reports hold the figures, intervals and pictures. What was
+tried and what limits the figures: [notes.md](notes.md).
 """
 
 

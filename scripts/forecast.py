@@ -18,7 +18,7 @@ class ForecastConfig:
     run: str
     """Folder of a trained run."""
     image: str
-    """Picture to forecast from: any file of the size that the run was trained on (others are resized)."""
+    """Picture to forecast from: any file of the aspect ratio that the run was trained on; it is resized."""
     out: str = "forecast"
     """Folder for forecast.json and the rendered futures."""
     samples: int = 10

@@ -27,3 +27,9 @@ def test_no_picture_at_all(tmp_path):
     (tmp_path / "text.png").write_text("not a picture")
     with pytest.raises(UserError, match=r"text.png"):
         read_picture(tmp_path / "text.png", 4, 4)
+
+
+def test_a_smaller_picture_is_enlarged_and_said_so(tmp_path, capsys):
+    Image.fromarray(np.full((2, 2, 3), 90, np.uint8)).save(tmp_path / "small.png")
+    assert torch.equal(read_picture(tmp_path / "small.png", 4, 4), torch.full((4, 4, 3), 90, dtype=torch.uint8))
+    assert "2 pixels wide, enlarged to 4" in capsys.readouterr().err
