@@ -1,10 +1,10 @@
 """Picture decoders of the PC-VAE: a latent and a target camera in, a picture out (CARFF 3.1: p(I | z, c'')).
 
 Both decoders answer three questions: `reconstruction_errors` (training: squared error averaged over the pixels of the
-target pictures), `pixel_errors` (the same without any weights, for one state) and `pictures` (looking: float pictures
+target pictures), `pixel_errors` (the plain error to one state's pictures) and `pictures` (looking: float pictures
 in [0, 1]). `camera` is the row of a camera in the data set. Training targets are the mean pictures of the states that a
-latent may stand for, weighted by `chance` [b, states]: the squared error to the mean and the expected squared error to
-the states differ by a constant.
+latent may stand for, weighted by `chance` [b, states]: where no view is missing, the squared error to the mean and the
+expected squared error to the states differ by a constant.
 
 * `components`: every camera's picture is its mean picture plus a few principal components of what changes there
   between the states; a small network gives the coefficients from the latent. Because the components are orthonormal,
@@ -21,6 +21,8 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 
 from hashnerf.errors import UserError
+
+SMALLEST_COMPONENT = 1e-4  # of a camera's largest, or of one pixel from black to white: far below one grey level
 
 
 @dataclass(frozen=True)
@@ -80,12 +82,16 @@ class ComponentsDecoder(nn.Module):
             if len(present) == 0:
                 continue
             rows = pictures[view_index[present, camera]].flatten(1).float() / 255.0
-            self.mean[camera] = rows.mean(dim=0)
-            centred = rows - self.mean[camera]
-            rank = min(self.rank, len(present))
+            mean = rows.mean(dim=0)
+            self.mean[camera] = mean
+            centred = rows - mean
             # The states are few and the pixels many: the small Gram matrix has the same eigenvalues.
             _, left = torch.linalg.eigh((centred @ centred.T).double())
-            basis = nn.functional.normalize(left.flip(1)[:, :rank].T.float() @ centred, dim=-1, eps=1e-6)
+            basis = left.flip(1)[:, : self.rank].T.float() @ centred
+            # Equal pictures leave directions of rounding errors, which normalised would look like components.
+            size = basis.norm(dim=-1, keepdim=True)
+            basis = torch.where(size > SMALLEST_COMPONENT * size.max().clamp(min=1.0), basis / size, 0.0)
+            rank = len(basis)
             self.basis[camera, :rank] = basis.half()
             targets[present, camera, :rank] = centred @ basis.T
             left_over = centred.square().sum(dim=1) - targets[present, camera].square().sum(dim=1)
@@ -104,7 +110,7 @@ class ComponentsDecoder(nn.Module):
         energy = targets.square().mean(dim=0)
         if not energy.any():
             return torch.ones_like(energy)
-        weight = (energy + 0.1 * energy[energy > 0].median()) ** -self.balance
+        weight = (energy + 0.1 * energy[energy > 0].median()) ** -self.balance * (energy > 0)
         return weight * energy.sum() / (weight * energy).sum()
 
     def coefficients(self, latents: Float[Tensor, "b d"]) -> Float[Tensor, "b cameras rank"]:
@@ -191,14 +197,12 @@ class ConvDecoder(nn.Module):
         """Returns each latent's mean squared error over the pixels of randomly drawn target cameras."""
         chance = chance.repeat_interleave(self.targets_per_picture, dim=0).cpu()
         known = chance @ (self.view_index >= 0).float()
-        camera = torch.multinomial((known > 0).float(), 1, generator=generator)[:, 0]
-        frames = self.view_index[:, camera]
-        share = chance * (frames >= 0).T / known.gather(1, camera[:, None])
-        target = torch.zeros(len(camera), *self.training_pictures.shape[1:], device=latents.device)
-        for frame, own in zip(frames, share.T):
-            if own.any():
-                picture = self.training_pictures[frame.clamp(min=0)].to(latents.device).float() / 255.0
-                target += own.to(latents.device)[:, None, None, None] * picture
+        camera = torch.multinomial(known, 1, generator=generator)[:, 0]
+        frames = self.view_index[:, camera].T
+        share = chance * (frames >= 0) / known.gather(1, camera[:, None])
+        row, state = share.nonzero(as_tuple=True)
+        parts = self.training_pictures[frames[row, state]].float() * share[row, state, None, None, None] / 255.0
+        target = torch.zeros(len(camera), *parts.shape[1:]).index_add_(0, row, parts).to(latents.device)
         shown = self.decode(latents.repeat_interleave(self.targets_per_picture, dim=0), camera.to(latents.device))
         squared = (shown - target.permute(0, 3, 1, 2)).square().mean(dim=(1, 2, 3))
         return squared.unflatten(0, (-1, self.targets_per_picture)).mean(dim=1)

@@ -66,10 +66,13 @@ class ConvEncoder(nn.Module):
     backward pass on a processor is cheaper than that of a group normalisation.
     """
 
-    def __init__(self, config: EncoderConfig, latent_size: int, image_size: int):
+    def __init__(self, config: EncoderConfig, latent_size: int, height: int, width: int):
         super().__init__()
-        if image_size % 32:
-            raise UserError(f"the conv encoder needs pictures whose width is a multiple of 32, not {image_size}")
+        if height % 32 or width % 32:
+            raise UserError(
+                f"the conv encoder needs pictures whose sides are multiples of 32, not {width} x {height}: "
+                "crop them, or give an image_size (a width) that makes both so"
+            )
         self.augment = config.augment
         w = config.width
         self.trunk = nn.Sequential(
@@ -83,11 +86,10 @@ class ConvEncoder(nn.Module):
             ResidualBlock(2 * w, 4 * w, 2),
             ResidualBlock(4 * w, 4 * w, 2),
         )
-        side = image_size // 32
         self.head = nn.Sequential(
             nn.Flatten(),
             nn.Dropout(config.dropout),
-            nn.Linear(4 * w * side * side, 256),
+            nn.Linear(4 * w * (height // 32) * (width // 32), 256),
             nn.ReLU(),
             nn.Linear(256, 2 * latent_size),
         )
@@ -174,8 +176,8 @@ def load_vit(model: str) -> nn.Module:
     return vit.requires_grad_(False)
 
 
-def build_encoder(config: EncoderConfig, latent_size: int, image_size: int) -> ConvEncoder | VitEncoder:
+def build_encoder(config: EncoderConfig, latent_size: int, height: int, width: int) -> ConvEncoder | VitEncoder:
     """Returns the encoder that the config names."""
     if config.kind == "vit":
         return VitEncoder(config, latent_size)
-    return ConvEncoder(config, latent_size, image_size)
+    return ConvEncoder(config, latent_size, height, width)

@@ -75,7 +75,7 @@ class Pcvae(nn.Module):
     ):
         super().__init__()
         self.latent_size = config.latent_size
-        self.encoder = build_encoder(config.encoder, config.latent_size, width)
+        self.encoder = build_encoder(config.encoder, config.latent_size, height, width)
         cameras = len(poses)
         if config.decoder.kind == "components":
             shape = (cameras, states, height, width)

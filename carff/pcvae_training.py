@@ -14,6 +14,7 @@ from carff.pcvae import Pcvae, PcvaeConfig
 from carff.schedules import delayed_linear
 from carff.states import StateTable, ambiguous_groups, state_chances
 from carff.view_priority import ViewPriority
+from hashnerf.errors import UserError
 from hashnerf.finite_steps import FiniteSteps
 from hashnerf.posed_images import PosedImages
 from hashnerf.training_run import TrainingRun
@@ -43,6 +44,8 @@ def train_pcvae(
     device = next(pcvae.parameters()).device
     view_index = table.view_index("train")
     states, cameras = (view_index >= 0).nonzero(as_tuple=True)
+    if len(states) == 0:
+        raise UserError(f"{data.folder}: no view has the split `train`; give it to most cameras in transforms.json")
     frames = view_index[states, cameras]
     pcvae.decoder.fit_basis(data.images, view_index)
     prepared = pcvae.encoder.prepare(data.images[frames])
@@ -50,8 +53,8 @@ def train_pcvae(
     generator = torch.Generator().manual_seed(seed)
     noise = torch.Generator(device=device).manual_seed(seed)
     guard = FiniteSteps()
-    # Equal pictures of several states ask for all of them at once. The expected gradient is that of asking for one of
-    # them at random, and the noise of the choice is gone: what is left of a view's error can be unlearnt.
+    # Equal pictures of several states ask for all of them at once: on average the same gradient as asking for one of
+    # them at random, without the noise of the choice, and what is left of a view's error can be unlearnt.
     chances = state_chances(ambiguous_groups(data.images, view_index), table.branch_weight[table.branch])
     wanted = chances[states, cameras].to(device)
     priority = ViewPriority(len(frames), config.hard_share, WARM_UP)
@@ -86,17 +89,18 @@ def train_pcvae(
 def even_psnr_db(pcvae: Pcvae, prepared: Tensor, states: Int[Tensor, " n"], step: int, count: int = 64) -> float:
     """Returns the PSNR (dB) of decoded posterior samples of `count` views drawn evenly, encoded without jitter.
 
-    It is the mean squared error of all cameras' pictures to those of each view's own state, hidden or not: the training
-    error is lower, as it asks for no more than a picture tells, and higher, as it favours hard views.
+    It is the mean squared error to the pictures of each view's own state, hidden or not. The training error asks for no
+    more than a picture tells and favours hard views.
     """
     device = next(pcvae.parameters()).device
     generator = torch.Generator().manual_seed(step)
     rows = torch.randint(len(states), (count,), generator=generator)
+    was_training = pcvae.training
     pcvae.eval()
     belief = pcvae.encode_prepared(prepared[rows].to(device)).to("cpu")
     latents = reparameterise(belief, generator).to(device)
     errors = pcvae.decoder.pixel_errors(latents, states[rows].to(device), generator)
-    pcvae.train()
+    pcvae.train(was_training)
     return -10 * math.log10(max(float(errors.mean()), 1e-10))
 
 

@@ -2,7 +2,7 @@
 
 Evidence is unevenly spread: a truck fills half of one view and three pixels of another. Drawn evenly, views that were
 learnt long ago take most of the time. (Schaul et al., Prioritized Experience Replay, 2016, without importance weights:
-every view has its own best belief, so drawing it more often moves no optimum.)
+where one network must compromise between views, it leans towards the hard ones on purpose.)
 """
 
 from typing import Any
@@ -34,10 +34,16 @@ class ViewPriority:
     def record(self, rows: Int[Tensor, " n"], errors: Float[Tensor, " n"]) -> None:
         """Takes in the errors of views just encoded; what is not finite is left out."""
         self.records += 1
-        if self.records == self.patience:
-            self.errors.fill_(float(errors.mean()) if errors.isfinite().all() else 1.0)
         good = errors.isfinite()
-        self.errors[rows[good]] = torch.lerp(errors[good], self.errors[rows[good]], MEMORY)
+        if self.records < self.patience or not good.any():
+            return
+        if self.records == self.patience:
+            self.errors.fill_(errors[good].mean())  # of views not met yet
+        # a view may stand in a batch more than once: its errors are averaged
+        total = torch.zeros_like(self.errors).index_add_(0, rows[good], errors[good])
+        count = torch.zeros_like(self.errors).index_add_(0, rows[good], torch.ones_like(errors[good]))
+        met = count > 0
+        self.errors[met] = torch.lerp(total[met] / count[met], self.errors[met], MEMORY)
 
     def state_dict(self) -> dict[str, Any]:
         """What a resumed run needs to draw the same views."""

@@ -58,6 +58,29 @@ def test_the_error_to_the_mean_picture_is_the_expected_error_but_for_a_constant(
     assert gaps[0] > 1e-3 and torch.isclose(gaps[0], gaps[1], rtol=1e-3)
 
 
+@pytest.mark.parametrize("missing", [False, True])
+def test_equal_and_missing_pictures_leave_no_components_of_rounding_errors(missing):
+    size = 64
+    pictures, index = pictures_and_index(6, 2, size)
+    pictures[index[3:]] = pictures[index[:3]]  # six states, three pictures at each camera
+    if missing:
+        index = index.clone()
+        index[4:, 1] = -1
+    torch.manual_seed(0)
+    decoder = ComponentsDecoder(DecoderConfig(width=16), 8, 2, 6, size, size)
+    decoder.fit_basis(pictures, index)
+    for camera in range(2):
+        basis = decoder.basis[camera].float()
+        used = basis.norm(dim=-1) > 0
+        assert used.sum() == 2, "three pictures span two dimensions around their mean"
+        assert torch.allclose(basis[used] @ basis[used].T, torch.eye(2), atol=1e-3)
+        assert (decoder.weight[camera, ~used] == 0).all() and (decoder.weight[camera, used] > 0).all()
+    assert decoder.unreached.max() < 1e-2, "squared error summed over 12288 values"
+    for state in range(4):
+        flat = decoder.mean[0] + decoder.targets[state, 0] @ decoder.basis[0].float()
+        assert torch.allclose(flat, pictures[index[state, 0]].flatten().float() / 255, atol=5e-3)
+
+
 @pytest.mark.parametrize("rank", [1, 16])
 def test_pixel_errors_are_those_of_the_pictures(rank):
     decoder = components(rank=rank)
@@ -124,6 +147,20 @@ def test_conv_decoder_learns_one_picture_per_state(camera):
     shown = decoder.pictures(torch.tensor([[0.0, 1.0]]), torch.tensor([1]))
     # The mean of camera 1 over both states errs by 100 levels on half of the pixels: squared error 0.077.
     assert (shown[0] - pictures[3].float() / 255).square().mean() < 0.01
+
+
+def test_conv_decoder_leaves_missing_views_out():
+    torch.manual_seed(0)
+    decoder = ConvDecoder(DecoderConfig(kind="conv", width=16, targets=400), 2, torch.eye(2), 8)
+    pictures = torch.zeros(3, 8, 8, 3, dtype=torch.uint8)
+    pictures[1] = 255
+    decoder.fit_basis(pictures, torch.tensor([[0, 1], [2, -1]]))
+    decoder.decode = lambda latents, camera: torch.zeros(len(latents), 3, 8, 8)
+    # State 1 is seen by camera 0 alone (black: no error); state 0 by camera 1 too (white: error 1). With chances
+    # 1/4 and 3/4 camera 0 is drawn four times as often as camera 1, whose picture is then state 0's.
+    chance = torch.tensor([[0.25, 0.75]])
+    errors = decoder.reconstruction_errors(torch.zeros(1, 2), chance, torch.Generator().manual_seed(0))
+    assert abs(float(errors) - 0.2) < 0.05
 
 
 def test_conv_decoder_refuses_sizes_it_cannot_build():

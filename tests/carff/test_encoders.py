@@ -27,7 +27,7 @@ def vit_folder(tmp_path_factory):
 
 def test_conv_belief_does_not_depend_on_the_batch():
     torch.manual_seed(0)
-    encoder = build_encoder(EncoderConfig(width=8), 4, 32).eval()
+    encoder = build_encoder(EncoderConfig(width=8), 4, 32, 32).eval()
     batch = encoder(pictures(6))
     alone = torch.cat([encoder(picture[None]) for picture in pictures(6)])
     assert batch.shape == (6, 8)
@@ -37,7 +37,7 @@ def test_conv_belief_does_not_depend_on_the_batch():
 
 def test_jitter_only_with_a_generator():
     torch.manual_seed(0)
-    encoder = build_encoder(EncoderConfig(width=8), 4, 32)
+    encoder = build_encoder(EncoderConfig(width=8), 4, 32, 32)
     plain = encoder(pictures(2))
     jittered = encoder(pictures(2), torch.Generator().manual_seed(0))
     assert torch.equal(plain, encoder(pictures(2)))
@@ -45,7 +45,7 @@ def test_jitter_only_with_a_generator():
 
 
 def test_vit_features_are_the_same_alone_and_frozen(vit_folder):
-    encoder = build_encoder(EncoderConfig(kind="vit", vit_model=vit_folder), 4, 128)
+    encoder = build_encoder(EncoderConfig(kind="vit", vit_model=vit_folder), 4, 128, 128)
     features = encoder.prepare(pictures(5, 48), batch=2)
     alone = torch.cat([encoder.prepare(picture[None]) for picture in pictures(5, 48)])
     assert features.shape == (5, 32)
@@ -56,7 +56,7 @@ def test_vit_features_are_the_same_alone_and_frozen(vit_folder):
 
 
 def test_vit_input_is_normalised_with_the_imagenet_statistics(vit_folder):
-    encoder = build_encoder(EncoderConfig(kind="vit", vit_model=vit_folder), 4, 32)
+    encoder = build_encoder(EncoderConfig(kind="vit", vit_model=vit_folder), 4, 32, 32)
     seen = []
     encoder.backbone[0].register_forward_pre_hook(
         lambda module, args, kwargs: seen.append(kwargs["pixel_values"]), with_kwargs=True
@@ -72,5 +72,11 @@ def test_a_missing_model_is_a_sentence(tmp_path):
 
 
 def test_sizes_the_convolutions_cannot_halve_are_refused():
-    with pytest.raises(UserError, match="multiple of 32"):
-        build_encoder(EncoderConfig(), 8, 100)
+    with pytest.raises(UserError, match="multiples of 32, not 100 x 96"):
+        build_encoder(EncoderConfig(), 8, 96, 100)
+
+
+def test_pictures_need_not_be_square():
+    encoder = build_encoder(EncoderConfig(width=8), 4, 32, 64)
+    pictures = torch.zeros(2, 32, 64, 3, dtype=torch.uint8)
+    assert encoder(encoder.prepare(pictures), torch.Generator().manual_seed(0)).shape == (2, 8)

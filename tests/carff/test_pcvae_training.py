@@ -47,7 +47,7 @@ def test_the_logged_psnr_is_that_of_the_decoded_pictures(tiny_data, tiny_table, 
     states, cameras = (tiny_table.views >= 0).nonzero(as_tuple=True)
     frames = tiny_table.views[states, cameras]
     logged = even_psnr_db(pcvae, tiny_data.images[frames], states, 0, count=500)
-    assert not any(module.training is False for module in pcvae.encoder.trunk)
+    assert not pcvae.training
     belief = pcvae.encode(tiny_data.images[frames])
     latents = reparameterise(belief, torch.Generator().manual_seed(1))
     squared = []

@@ -36,8 +36,15 @@ def test_no_error_left_and_errors_that_are_not_finite():
     priority.record(torch.tensor([0, 1]), torch.tensor([torch.nan, torch.inf]))
     assert priority.errors.isfinite().all()
     first = ViewPriority(2, 0.7, 1)
-    first.record(torch.tensor([0, 1]), torch.tensor([torch.nan, 1.0]))
-    assert first.errors.isfinite().all()
+    first.record(torch.tensor([0, 1]), torch.tensor([torch.nan, 3.0]))
+    assert first.errors.tolist() == [3.0, 3.0]
+
+
+def test_a_view_that_stands_twice_in_a_batch_counts_once_with_its_mean():
+    priority = ViewPriority(3, 0.7, 1)
+    priority.record(torch.tensor([0, 0, 1]), torch.tensor([2.0, 4.0, 0.0]))
+    # All start at the batch's mean, 2; view 0 meets an error of 3, view 1 one of 0, view 2 none.
+    assert torch.allclose(priority.errors, torch.tensor([0.7 * 2 + 0.3 * 3, 0.7 * 2, 2.0]))
 
 
 def test_a_resumed_run_draws_the_same_views():

@@ -85,5 +85,13 @@ def test_a_value_of_the_wrong_type_names_key_and_value(data):
     assert "pcvae.steps" in output and "many" in output
 
 
+def test_a_data_set_without_training_views(data):
+    document = read(data)
+    for frame in document["frames"]:
+        frame["split"] = "test"
+    write(data, document)
+    assert "no view has the split `train`" in refused(data)
+
+
 def test_a_missing_folder(tmp_path):
     assert "transforms.json" in refused(tmp_path / "nothing")
