@@ -38,15 +38,12 @@ SHOWN_DRAWS = (1, 5, 10, 20, 35, 50)
 POLICY_COLOURS = {"risk": BLUE, "paper": AMBER, "oracle": GREEN}
 
 
-def psnr_curve(seconds: Float[np.ndarray, " k"], psnr: Float[np.ndarray, " k"], target: float | None = None) -> Figure:
+def psnr_curve(seconds: Float[np.ndarray, " k"], psnr: Float[np.ndarray, " k"]) -> Figure:
     """Training PSNR in dB against wall-clock time (CARFF Fig. 12)."""
     figure = new_figure(HALF_WIDTH, 4.0)
     axes = figure.subplots()
     minutes = seconds / 60
-    axes.plot(minutes, psnr, color=BLUE, linewidth=2, label="64 training views")
-    if target is not None:
-        axes.axhline(target, color=MUTED, linewidth=1, linestyle=(0, (4, 3)), label=f"target {target:g} dB")
-    axes.legend(frameon=False, fontsize=SMALL + 0.5, loc="lower right")
+    axes.plot(minutes, psnr, color=BLUE, linewidth=2)
     axes.set_xlim(left=0)
     style_chart(axes, "PC-VAE reconstruction while training", "wall clock (minutes)", "PSNR (dB)")
     return figure

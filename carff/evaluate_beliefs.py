@@ -14,16 +14,17 @@ from torch import Tensor
 
 from carff.beliefs import active_units, reparameterise
 from carff.charts import latent_map, psnr_curve
-from carff.evaluation_data import EvaluationData, Part, Views
+from carff.evaluation_data import EvaluationData, Part, Views, actor_visible
 from carff.evaluation_pictures import contact_sheet_figure, reconstruction_figure
 from carff.figure_style import png_bytes
 from carff.latent_metrics import subset_accuracy, svm_accuracy, svm_heldout, tsne_embedding
 from carff.scene_metrics import changed_pixels, mean_psnr_db, psnr_db
-from carff.states import group_sizes, state_ceiling
-from carff.targets import TARGETS
+from carff.states import state_ceiling
 from hashnerf.errors import UserError
 
 MOST_MAP_POINTS = 600
+VISIBLE_FIGURES = ("svm_visible", "svm_visible_gap")
+HELDOUT_FIGURES = ("svm_visible_heldout", "svm_visible_heldout_gap")
 DECODED_AT_ONCE = 32
 
 
@@ -45,7 +46,7 @@ def evaluate_beliefs(evaluation: EvaluationData) -> Part:
         figures["tsne"] = png_bytes(chart)
     curve = read_curve(evaluation.config.folder / "pcvae" / "metrics.jsonl")
     if len(curve):
-        figures["psnr_train"] = png_bytes(psnr_curve(curve[:, 0], curve[:, 1], target=_psnr_target(evaluation)))
+        figures["psnr_train"] = png_bytes(psnr_curve(curve[:, 0], curve[:, 1]))
     else:
         reasons["psnr_train"] = "the run keeps no record of the PC-VAE's training (pcvae/metrics.jsonl)"
     return Part({"data": describe_data(evaluation), "pcvae": pcvae}, figures, reasons)
@@ -71,16 +72,16 @@ def svm_scores(evaluation: EvaluationData) -> tuple[dict, dict[str, str]]:
     train, test = (evaluation.views.select(rows) for rows in (evaluation.views.train, evaluation.views.test))
     train_groups = torch.where(evaluation.table.view_index("train") >= 0, evaluation.groups, -1)
     scores: dict = {"svm_ceiling": state_ceiling(train_groups)}
-    for name, part in (("svm_visible", train), ("svm_visible_heldout", test)):
-        if part.shows_actor.any():
-            sizes = group_sizes(evaluation.groups)[part.state, part.camera].double()
-            scores[f"{name}_ceiling"] = float((1 / sizes[part.shows_actor]).mean())
+    for name, split in (("svm_visible", "train"), ("svm_visible_heldout", "test")):
+        judged = actor_visible(evaluation.table) & (evaluation.table.view_index(split) >= 0)
+        if judged.any():
+            scores[f"{name}_ceiling"] = state_ceiling(torch.where(judged, evaluation.groups, -1))
     means, labels = train.belief.mean.numpy(), train.state.numpy()
     try:
         score = svm_accuracy(means, labels, groups=train.picture.numpy())
     except UserError as error:
-        keys = ("svm_all", "svm_visible", "svm_visible_heldout")
-        return scores, {f"pcvae.{key}": str(error) for key in keys}
+        keys = ("svm_all", "svm_gap", *VISIBLE_FIGURES, *HELDOUT_FIGURES)
+        return scores, dict.fromkeys((f"pcvae.{key}" for key in keys), str(error))
     reasons = {}
     scores |= _named("svm_all", score.correct, np.ones(len(train), dtype=bool))
     scores |= {"svm_folds": score.folds, "svm_chance": score.chance}
@@ -91,9 +92,11 @@ def svm_scores(evaluation: EvaluationData) -> tuple[dict, dict[str, str]]:
         scores |= _named("svm_heldout", unseen.correct, np.ones(len(test), dtype=bool))
         scores |= _named("svm_visible_heldout", unseen.correct, test.shows_actor.numpy())
     if scores["svm_visible"] is None:
-        reasons["pcvae.svm_visible"] = "no training view shows an actor, or the data does not say which do (visibility)"
+        reason = "no training view shows an actor, or the data does not say which do (visibility)"
+        reasons |= dict.fromkeys((f"pcvae.{key}" for key in VISIBLE_FIGURES), reason)
     if scores.get("svm_visible_heldout") is None:
-        reasons["pcvae.svm_visible_heldout"] = "no view of a test camera shows an actor, or the data does not say so"
+        reason = "no view of a test camera shows an actor, or the data does not say so"
+        reasons |= dict.fromkeys((f"pcvae.{key}" for key in HELDOUT_FIGURES), reason)
     return scores, reasons
 
 
@@ -180,8 +183,3 @@ def _camera_pictures(
 def _named(key: str, correct: Bool[np.ndarray, " n"], mask: Bool[np.ndarray, " n"]) -> dict:
     found = subset_accuracy(correct, mask)
     return {key: found["accuracy"], f"{key}_interval": found["interval"], f"{key}_count": found["count"]}
-
-
-def _psnr_target(evaluation: EvaluationData) -> float | None:
-    target = next(target for target in TARGETS if target.key == "pcvae.psnr_train_db")
-    return {"fast": target.fast, "balanced": target.balanced}.get(evaluation.config.evaluation.preset)

@@ -159,7 +159,7 @@ def _picture_rows(
     evaluation: EvaluationData, views: Views, pictures: TrialPictures, go: Bool[np.ndarray, "images trials"]
 ) -> list[dict]:
     """Returns what each picture was, and the share of its trials in which the risk rule at n = 10 was right."""
-    evidence = evidence_px(evaluation)[views.state, views.camera]
+    evidence = evidence_px(evaluation, evaluation.table.known_hazard().long())[views.state, views.camera]
     right = np.where(pictures.hazard.numpy()[:, None], ~go, go).mean(axis=1)
     return [
         {

@@ -48,7 +48,8 @@ def evaluate_probe(evaluation: EvaluationData) -> Part:
             f"{name}interval": found["interval"],
             f"{name}views": found["count"],
         }
-    results["by_evidence"] = accuracy_by_evidence(correct, evidence_px(evaluation)[views.state, views.camera].numpy())
+    evidence = evidence_px(evaluation, same)
+    results["by_evidence"] = accuracy_by_evidence(correct, evidence[views.state, views.camera].numpy())
     results["unknown"] = float((answers == UNKNOWN).float().mean())
     distinct = same.unique()
     counts = confusion(truth, answers, distinct)
@@ -59,21 +60,20 @@ def evaluate_probe(evaluation: EvaluationData) -> Part:
     return Part({"probe": results}, {"probe_confusion": png_bytes(figure)}, {})
 
 
-def evidence_px(evaluation: EvaluationData) -> Int[Tensor, "states cameras"]:
-    """Returns in how many pixels each view differs from the most similar view that asks for another answer.
+def evidence_px(evaluation: EvaluationData, label: Int[Tensor, " states"]) -> Int[Tensor, "states cameras"]:
+    """Returns in how many pixels each view differs from the most similar view of a state with another label.
 
     Compared are the views of one camera; pixels count from `CHANGE_THRESHOLD` on, as in the pictures' figures. A view
     without such another view has all its pixels.
     """
     views, images = evaluation.table.views, evaluation.data.images
-    same = evaluation.same_boxes
     evidence = torch.full(views.shape, images.shape[1] * images.shape[2])
     for camera in range(views.shape[1]):
         states = (views[:, camera] >= 0).nonzero()[:, 0]
         pictures = images[views[states, camera]].short()
         for state, picture in zip(states.tolist(), pictures):
             changed = ((pictures - picture).abs().amax(dim=-1) > CHANGE_THRESHOLD * 255).sum(dim=(1, 2))
-            others = changed[same[states] != same[state]]
+            others = changed[label[states] != label[state]]
             if len(others):
                 evidence[state, camera] = others.min()
     return evidence

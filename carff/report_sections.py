@@ -75,7 +75,7 @@ SECTIONS = (
             Panel(
                 "psnr_train",
                 "Training curve",
-                "PSNR of the mean squared error of 64 training views, decoded at every camera. Views that hide the "
+                "PSNR of the mean squared error of 64 training views, decoded at other cameras. Views that hide the "
                 "state keep it below the mean PSNR of the table.",
                 "pcvae.psnr_train_db",
                 half=True,

@@ -46,7 +46,9 @@ def _table(reports: Sequence[dict]) -> list[str]:
 
 
 def _cell(report: dict, key: str, unit: str) -> str:
-    row = next(row for row in report["targets"] if row["key"] == key)
+    row = next((row for row in report["targets"] if row["key"] == key), None)
+    if row is None:
+        raise UserError(f"{report['run']['name']}: its report lacks {key}; run scripts/evaluate_carff.py again")
     if row["measured"] is None:
         return "not run"
     value = number(lookup(report, key) if lookup(report, key) is not None else row["measured"], unit)

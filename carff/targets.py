@@ -28,6 +28,8 @@ class Target:
     balanced: float | None
     paper: str = ""
     """What the paper reports for the same figure, for orientation."""
+    stands_for: str = ""
+    """Key of the figure in whose place this one is judged, where equal pictures put that one's limit out of reach."""
 
 
 TARGETS = (
@@ -40,12 +42,21 @@ TARGETS = (
         "points",
         0.03,
         0.01,
+        stands_for="pcvae.svm_visible",
     ),
     Target("pcvae.svm_gap", "state named from any view: distance to what the pixels allow", "<=", "points", 0.08, 0.03),
     Target(
         "pcvae.svm_visible_heldout", "state named from a held-out camera that shows the actor", ">=", "%", 0.80, 0.90
     ),
-    Target("pcvae.svm_visible_heldout_gap", "the same: distance to what the pixels allow", "<=", "points", 0.20, 0.10),
+    Target(
+        "pcvae.svm_visible_heldout_gap",
+        "the same: distance to what the pixels of those views allow",
+        "<=",
+        "points",
+        0.20,
+        0.10,
+        stands_for="pcvae.svm_visible_heldout",
+    ),
     Target("pcvae.psnr_train_db", "reconstruction of training views", ">=", "dB", 32.0, 34.0, "26.5 dB"),
     Target(
         "nerf.psnr_matched_db", "bird's-eye rendering against its own state", ">=", "dB", 24.5, 28.0, "28.0–28.3 dB"
@@ -134,7 +145,13 @@ def _verdict(target: Target, results: Mapping, preset: str, not_run: Mapping[str
     ceiling = lookup(results, f"{target.key}_ceiling")
     if ceiling is not None and limit is not None and ceiling < limit:
         return Verdict(target, None, measured, None, f"equal pictures of different states allow {ceiling:.1%} at most")
+    if target.stands_for and _verdict(_target(target.stands_for), results, preset, not_run).limit is not None:
+        return Verdict(target, None, measured, None, "")
     return Verdict(target, limit, measured, None if limit is None else _keeps(measured, target.comparison, limit), "")
+
+
+def _target(key: str) -> Target:
+    return next(target for target in TARGETS if target.key == key)
 
 
 def _keeps(measured: float | int, comparison: str, limit: float) -> bool:

@@ -25,10 +25,9 @@ def _texts(figure: Figure) -> list[str]:
     return [text.get_text() for axes in figure.axes for text in axes.texts]
 
 
-def test_psnr_curve_has_minutes_and_an_optional_target():
-    figure = psnr_curve(np.array([0.0, 120.0]), np.array([20.0, 30.0]), 32.0)
+def test_psnr_curve_has_minutes():
+    figure = psnr_curve(np.array([0.0, 120.0]), np.array([20.0, 30.0]))
     assert figure.axes[0].lines[0].get_xdata().tolist() == [0.0, 2.0]
-    assert [text.get_text() for text in figure.axes[0].get_legend().get_texts()][-1] == "target 32 dB"
     assert png_bytes(psnr_curve(np.array([0.0]), np.array([20.0]))).startswith(PNG)
 
 

@@ -25,7 +25,16 @@ def test_ceilings_count_what_the_pixels_allow(tiny_evaluation):
     # Train cameras 0, 1, 3: camera 0 shows two states per picture (4 views worth 1/2), 1 and 3 one (8 views): 10 of 12.
     assert scores["svm_ceiling"] == pytest.approx(10 / 12)
     assert scores["svm_visible_ceiling"] == 1.0, "the truck is visible only in pictures of one state"
+    assert scores["svm_visible_heldout_ceiling"] == 1.0
     assert not reasons
+
+
+def test_ceilings_of_visible_views_count_only_those_views(tiny_evaluation):
+    groups = tiny_evaluation.groups.clone()
+    groups[:, 1] = 0  # as if camera 1 saw the same in all four states
+    scores, _ = svm_scores(replace(tiny_evaluation, groups=groups))
+    # Cameras 1 and 3 show the truck in states 2 and 3: of camera 1's two views one can be right, of camera 3's both.
+    assert scores["svm_visible_ceiling"] == pytest.approx(3 / 4)
 
 
 def test_scores_of_a_run_that_knows_everything(tiny_evaluation):
@@ -60,7 +69,8 @@ def test_missing_scores_come_with_a_reason(tiny_evaluation):
     views = tiny_evaluation.views
     none = torch.zeros(16, dtype=torch.bool)
     _, reasons = svm_scores(replace(tiny_evaluation, views=replace(views, shows_actor=none)))
-    assert set(reasons) == {"pcvae.svm_visible", "pcvae.svm_visible_heldout"}
+    figures = {"pcvae.svm_visible", "pcvae.svm_visible_heldout"}
+    assert set(reasons) == figures | {f"{figure}_gap" for figure in figures}
     one_state = replace(views, state=torch.zeros_like(views.state))
     scores, reasons = svm_scores(replace(tiny_evaluation, views=one_state))
     assert "svm_all" not in scores

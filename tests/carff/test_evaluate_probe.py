@@ -42,13 +42,14 @@ def test_without_settled_pictures_there_is_a_reason(tiny_evaluation):
 
 
 def test_evidence_is_the_smallest_difference_that_matters(tiny_evaluation):
-    evidence = evidence_px(tiny_evaluation)
+    evidence = evidence_px(tiny_evaluation, tiny_evaluation.same_boxes)
     # Camera 0 shows absent and present alike. Elsewhere the truck fills 12 x 12 = 144 pixels, and the ego's own move
     # from one step to the next changes 2 x 4 x 8 = 64; where the truck stands it moves too, which changes more.
     assert evidence[:, 0].tolist() == [0, 0, 0, 0]
     assert (evidence[:2, 1:] == 64).all() and (evidence[2:, 1:] == 144).all()
-    tiny_evaluation.model.probe.candidates.occupied[:] = True  # now every state asks for the same answer
-    assert (evidence_px(tiny_evaluation) == 32 * 32).all()
+    assert (evidence_px(tiny_evaluation, torch.zeros(4).long()) == 32 * 32).all(), "one label: nothing to tell apart"
+    branch = evidence_px(tiny_evaluation, torch.tensor([0, 0, 1, 1]))
+    assert (branch[:, 1:] == 144).all(), "only the truck tells the branches apart"
 
 
 def test_accuracy_by_evidence_by_hand():

@@ -38,6 +38,15 @@ def test_met_missed_and_not_run_are_told_apart(tmp_path):
     assert json.loads((tmp_path / "out" / "a.json").read_text())["run"]["commit"] == "abc"
 
 
+def test_a_report_of_other_figures_is_a_sentence(tmp_path):
+    run = write_report(tmp_path / "a", 26.0)
+    document = json.loads((run / "report.json").read_text())
+    document["targets"] = document["targets"][1:]
+    (run / "report.json").write_text(json.dumps(document))
+    with pytest.raises(UserError, match=r"demo: its report lacks seconds_total; run scripts/evaluate_carff.py again"):
+        publish([run], tmp_path / "out")
+
+
 def test_a_run_without_report_is_a_sentence(tmp_path):
     with pytest.raises(UserError, match=r"evaluate_carff.py for it first"):
         publish([tmp_path], tmp_path / "out")

@@ -57,6 +57,8 @@ def test_a_limit_above_what_equal_pictures_allow_is_not_judged():
     assert (found.met, found.limit, found.measured) == (None, None, 0.7)
     assert found.reason == "equal pictures of different states allow 74.2% at most"
     assert _verdict({"pcvae": {"svm_visible": 0.7, "svm_visible_ceiling": 0.98}}, "pcvae.svm_visible").met is False
+    within = derived({"pcvae": {"svm_visible": 0.9, "svm_visible_ceiling": 0.98}})
+    assert _verdict(within, "pcvae.svm_visible_gap").met is None, "judged once, not twice"
     gap = derived({"pcvae": {"svm_visible": 0.7, "svm_visible_ceiling": 0.742}})
     assert _verdict(gap, "pcvae.svm_visible_gap").met is False, "0.042 is more than 3 points"
 
