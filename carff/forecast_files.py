@@ -72,7 +72,10 @@ def read_picture(path: Path, width: int, height: int) -> UInt8[Tensor, "h w 3"]:
             f"{path}: is {picture.shape[1]} x {picture.shape[0]} pixels; crop it to the aspect ratio {width} : {height}"
         )
     if picture.shape[1] < width:
-        say(f"{path}: {picture.shape[1]} pixels wide, enlarged to {width}: what it lacks in detail stays unseen.")
+        say(
+            f"{path}: {picture.shape[1]} pixels wide, enlarged to {width}; the forecast may miss small things, "
+            f"give a picture of at least {width} pixels."
+        )
     if picture.shape[1] != width:
         picture = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
     return torch.as_tensor(picture)

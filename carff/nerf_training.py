@@ -55,7 +55,7 @@ def train_nerf(
     """Trains on the given views in a run folder; the model saved there holds the averaged weights.
 
     `record` is what the run folder keeps as its config. `known` holds the views of an earlier training that this one
-    continues: `config.new_share` of the rays go through the other cameras.
+    continues: `config.new_share` of the rays, changed pixels apart, go through the other cameras.
     """
     rays = build_state_rays(data.images, data.cameras, view_index, known)
     bank = nerf.bank

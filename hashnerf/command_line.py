@@ -324,6 +324,8 @@ def _parse_overrides(parser: jsonargparse.ArgumentParser, config_class: type[Con
 def _with_full_key(message: str, hints: dict[str, Any]) -> str:
     """A part of a config names its keys without knowing where the whole config holds it: `fit.x` for `nerf.fit.x`."""
     word = message.split(" ", 1)[0]
+    if word in hints:
+        return message
     whole = [key for key in hints if key.endswith(f".{word}")]
     return message.replace(word, whole[0], 1) if len(whole) == 1 else message
 

@@ -83,6 +83,7 @@ class _View:
     lens: list[float] | None = None
     problems: list[str] = field(default_factory=list)
     lens_problems: list[str] = field(default_factory=list)
+    key_problems: list[str] = field(default_factory=list)
 
 
 def load_posed_images(folder: Path | str, image_size: int | None = None) -> PosedImages:
@@ -102,7 +103,11 @@ def load_posed_images(folder: Path | str, image_size: int | None = None) -> Pose
         rows = range(len(entries))
         views = list(pool.map(lambda row: _read_view(folder, document, row, entries[row], image_size), rows))
     problems = [f"{view.name}: {problem}" for view in views for problem in view.problems]
-    problems += _lens_problems(views) + _across_views(views, document, image_size)
+    problems += (
+        _told_once(views, "key_problems")
+        + _told_once(views, "lens_problems")
+        + _across_views(views, document, image_size)
+    )
     problems += check_extras(document, [view.key for view in views if view.key is not None])
     if problems:
         raise DataError(str(source), problems)
@@ -150,7 +155,7 @@ def _read_view(folder: Path, document: dict, row: int, entry: object, image_size
     shown = "".join(letter if letter.isprintable() else "?" for letter in str(entry.get("file_path"))[:80])
     view = _View(f"frame {row} ({shown})")
     _read_frame(view, entry, row)
-    view.problems += misspelled(entry, FRAME_KEYS)
+    view.key_problems = misspelled(entry, FRAME_KEYS)
     view.pose, problem = read_pose(entry.get("transform_matrix"))
     if problem is not None:
         view.problems.append(f"transform_matrix {problem}")
@@ -199,11 +204,11 @@ def _shrink(image: UInt8[np.ndarray, "h w 3"], width: int) -> UInt8[np.ndarray, 
     return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
 
 
-def _lens_problems(views: list[_View]) -> list[str]:
-    """One line for each different lens problem: a bad value at the top level would repeat for every frame."""
+def _told_once(views: list[_View], kind: str) -> list[str]:
+    """One line for each different problem: a slip in a program that writes the file repeats in every frame."""
     first: dict[str, list[str]] = {}
     for view in views:
-        for problem in view.lens_problems:
+        for problem in getattr(view, kind):
             first.setdefault(problem, []).append(view.name)
     return [
         f"{names[0]}: {problem}" + (f" (the same in {len(names) - 1} other frames)" if len(names) > 1 else "")

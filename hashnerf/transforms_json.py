@@ -87,9 +87,9 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def _refuse_constant(token: str, text: str) -> NoReturn:
-    # the parser tells no position, and a name may hold the same letters: the first such token after [ , or :
-    place = re.search(rf"[\[:,]\s*{re.escape(token)}", text)
-    line = text.count("\n", 0, place.end()) + 1 if place else 1
+    # the parser tells no position: the first such token outside of all strings
+    outside = re.sub(r'"(?:[^"\\]|\\.)*"', lambda string: "_" * len(string[0]), text)
+    line = text.count("\n", 0, outside.find(token)) + 1
     raise ValueError(f"the token {token} in line {line} is not JSON; write a finite number or null")
 
 
@@ -143,8 +143,8 @@ def check_extras(document: dict, views: list[tuple[int, int, int]]) -> list[str]
 
 def misspelled(entry: dict, known: tuple[str, ...]) -> list[str]:
     """One line for each key that is almost a known one; other tools may write any other key, which is left alone."""
-    close = {key: difflib.get_close_matches(key, known, n=1, cutoff=0.85) for key in entry if key not in known}
-    return [f"has the unknown key {key[:40]!r}; did you mean {match[0]!r}?" for key, match in close.items() if match]
+    close = {key: difflib.get_close_matches(key.lower(), known, n=1, cutoff=0.85) for key in entry if key not in known}
+    return [f"the key {key[:40]!r} is unknown; did you mean {match[0]!r}?" for key, match in close.items() if match]
 
 
 def _scene_box(document: dict, views: list[tuple[int, int, int]]) -> Iterator[str]:

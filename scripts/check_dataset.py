@@ -1,4 +1,4 @@
-"""Check a data-set folder as the trainings do, without training: all problems at once, or what it is enough for.
+"""Check a data-set folder as the trainings do, without training: what is wrong with it, or what it is enough for.
 
 python scripts/check_dataset.py --dataset data/junction
 """

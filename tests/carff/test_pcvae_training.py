@@ -1,5 +1,6 @@
 """Stage 1 learns the states that pictures show, and takes the same path after an interruption."""
 
+import pytest
 import torch
 
 from carff.beliefs import reparameterise
@@ -7,6 +8,7 @@ from carff.encoders import EncoderConfig
 from carff.model_files import load_model
 from carff.pcvae import Pcvae, PcvaeConfig
 from carff.pcvae_training import even_psnr_db, rate_factor, train_pcvae
+from carff.view_priority import ViewPriority
 
 
 def config(steps: int) -> PcvaeConfig:
@@ -57,6 +59,24 @@ def test_the_logged_psnr_is_that_of_the_decoded_pictures(tiny_data, tiny_table, 
         squared.append((shown - truth).square().mean())
     expected = -10 * torch.log10(torch.stack(squared).mean())
     assert abs(logged - expected) < 0.5, "the same but for which views were drawn, and pictures clamped to [0, 1]"
+
+
+def test_an_interrupted_training_takes_the_same_path(tiny_data, tiny_table, tmp_path, monkeypatch):
+    whole = train(tiny_data, tiny_table, tmp_path / "whole", 90)
+    record = ViewPriority.record
+    calls = []
+
+    def interrupted(self, rows, errors):
+        calls.append(1)
+        if len(calls) == 75:  # after the views' errors have begun to count
+            raise KeyboardInterrupt
+        record(self, rows, errors)
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(ViewPriority, "record", interrupted)
+        train(tiny_data, tiny_table, tmp_path / "run", 90)
+    resumed = train(tiny_data, tiny_table, tmp_path / "run", 90)
+    assert all(torch.equal(a, b) for a, b in zip(whole.state_dict().values(), resumed.state_dict().values()))
 
 
 def test_rate_warms_up_and_ends_at_zero():

@@ -8,6 +8,8 @@ import torch
 from carff import stages
 from carff.config import CarffConfig
 from carff.encoders import EncoderConfig
+from carff.nerf import NerfConfig
+from carff.nerf_training import training_views
 from carff.pcvae import PcvaeConfig
 from carff.scene_info import scene_info
 from carff.stages import device_of, encode_views, new_pcvae, run_mdn, run_nerf
@@ -42,3 +44,22 @@ def test_a_pcvae_of_another_config_is_refused_by_key(tmp_path, monkeypatch, tiny
             stage(config)
         with pytest.raises(UserError, match=r"trained with another config \(dataset: data/intersection -> data/b\)"):
             stage(replace(config, dataset="data/b"))
+
+
+def test_the_last_steps_of_the_field_know_which_cameras_are_new(tmp_path, monkeypatch, tiny_data, tiny_table):
+    torch.manual_seed(0)
+    small = PcvaeConfig(encoder=EncoderConfig(width=8))
+    config = CarffConfig(runs=str(tmp_path), device="cpu", pcvae=small, nerf=NerfConfig(birds_eye_steps=7))
+    calls = []
+    monkeypatch.setattr(stages, "load_data", lambda _: (tiny_data, tiny_table))
+    monkeypatch.setattr(
+        stages, "_pcvae_of_this_config", lambda *_: new_pcvae(config, scene_info(tiny_data, tiny_table))
+    )
+    monkeypatch.setattr(stages, "train_nerf", lambda *arguments: calls.append(arguments))
+    monkeypatch.setattr(stages, "load_model", lambda *_: None)
+    config.folder.mkdir()
+    run_nerf(config)
+    held_out = training_views(tiny_table, ("birds_eye",))
+    (*_, steps, _, _), (*_, more, _, _, known) = calls
+    assert (steps, more) == (config.nerf.steps, 7)
+    assert torch.equal(known, held_out) and torch.equal(calls[1][3], training_views(tiny_table))

@@ -95,3 +95,22 @@ def test_a_data_set_without_training_views(data):
 
 def test_a_missing_folder(tmp_path):
     assert "transforms.json" in refused(tmp_path / "nothing")
+
+
+def test_a_data_set_is_checked_without_training(data):
+    def check() -> subprocess.CompletedProcess:
+        command = [sys.executable, "scripts/check_dataset.py", "--dataset", str(data)]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+        return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=environment, timeout=120)
+
+    good = check()
+    assert good.returncode == 0, good.stderr
+    assert good.stdout.splitlines()[:2] == [
+        "4 views of 2 states in 1 branches, 32 x 32 pixels",
+        "cameras: 2 train, 0 val, 0 test",
+    ]
+    document = read(data)
+    document["frames"][0]["brnch"] = document["frames"][1]["brnch"] = 0
+    write(data, document)
+    bad = check()
+    assert bad.returncode == 2 and "did you mean 'branch'? (the same in 1 other frames)" in bad.stderr

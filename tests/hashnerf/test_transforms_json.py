@@ -22,6 +22,7 @@ BOX = {"branch": 1, "step": 0, "center": [1, 2.5, 0], "size": [4, 2, 1.5], "yaw"
     [
         (b'{"frames": [NaN]}', "the token NaN in line 1 is not JSON"),
         (b'{"name": "NaN",\n "w": 1,\n "h":\n NaN}', "the token NaN in line 4 is not JSON"),
+        (b'{"note": "x, NaN", \n"h": NaN}', "the token NaN in line 2 is not JSON"),
         (b'{"w": -Infinity}', "the token -Infinity in line 1 is not JSON"),
         (b'{"w": 1e999}', "1e999 is too large"),
         (b'{"w": ' + b"9" * 5000 + b"}", "is not strict JSON"),
@@ -144,9 +145,10 @@ def test_keys_of_other_tools_are_left_alone():
     assert check_extras(others, VIEWS) == []
     frame = {"depth_file_path": "x", "mask_path": "y", "colmap_im_id": 3, "sharpness": 1.0}
     assert misspelled(frame, FRAME_KEYS) == []
+    assert misspelled({"Split": "test"}, FRAME_KEYS) == ["the key 'Split' is unknown; did you mean 'split'?"]
     assert misspelled({"brnch": 1, "splits": "train"}, FRAME_KEYS) == [
-        "has the unknown key 'brnch'; did you mean 'branch'?",
-        "has the unknown key 'splits'; did you mean 'split'?",
+        "the key 'brnch' is unknown; did you mean 'branch'?",
+        "the key 'splits' is unknown; did you mean 'split'?",
     ]
 
 
@@ -188,8 +190,8 @@ def test_keys_of_other_tools_are_left_alone():
         ({"visibility": {"truck": [[0, 0, 9, 1, 2]]}}, "names branch 0 step 0 camera 9, which no frame shows"),
         ({"visibility": {"truck": [[0, 0, 1, 3, 2]]}}, "visibility.truck[0] has 3 visible pixels but only 2"),
         ({"world": "intersection"}, "world must be an object"),
-        ({"branch_weight": [1.0, 1.0]}, "has the unknown key 'branch_weight'; did you mean 'branch_weights'?"),
-        ({"scene-box": [[0, 0, 0], [1, 1, 1]]}, "has the unknown key 'scene-box'; did you mean 'scene_box'?"),
+        ({"branch_weight": [1.0, 1.0]}, "the key 'branch_weight' is unknown; did you mean 'branch_weights'?"),
+        ({"scene-box": [[0, 0, 0], [1, 1, 1]]}, "the key 'scene-box' is unknown; did you mean 'scene_box'?"),
     ],
 )
 def test_a_bad_extra_is_named(document, sentence):
