@@ -7,7 +7,7 @@ bird's-eye camera and from the ego camera that would show most of the main actor
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Int, UInt8
 from torch import Tensor
 
 from carff.evaluate_scenes import BIRDS_EYE, render_scenes
@@ -63,10 +63,12 @@ def futures_of(evaluation: EvaluationData, row: int) -> Futures:
     belief = views.belief.select(torch.tensor([row]))
     mixture = model.mdn(belief.mean, belief.logvar)
     latents = mixture.sample(DRAWS, evaluation.generator(8))[0]
-    states = model.probe_latents(latents)
-    counts = torch.bincount(torch.where(states < 0, len(table), states), minlength=len(table) + 1)
     same_picture = (views.picture == views.picture[row]) & evaluation.goes_on()
-    after, times = table.successor[views.state[same_picture]].unique(return_counts=True)
+    now = views.state[same_picture]
+    after, place = table.successor[now].unique(return_inverse=True)
+    times = torch.zeros(len(after)).index_add_(0, place, table.branch_weight[table.branch[now]])
+    states = named_as(model.probe_latents(latents), after, evaluation.same_boxes)
+    counts = torch.bincount(torch.where(states < 0, len(table), states), minlength=len(table) + 1)
     cameras = shown_cameras(evaluation, after.tolist())
     rendered = [render_scenes(model.nerf, evaluation, latents[:SHOWN], camera, SHOWN_WIDTH) for camera in cameras]
     state, camera = int(views.state[row]), int(views.camera[row])
@@ -83,6 +85,16 @@ def futures_of(evaluation: EvaluationData, row: int) -> Futures:
         state_probability=tuple((counts / DRAWS).tolist()),
         draws=DRAWS,
     )
+
+
+def named_as(
+    answers: Int[Tensor, " n"], expected: Int[Tensor, " k"], same_boxes: Int[Tensor, " states"]
+) -> Int[Tensor, " n"]:
+    """Returns the probe's answers; one that stands for several states with equal boxes is named as the expected one."""
+    named = answers.clone()
+    for state in expected.flip(0).tolist():
+        named[(answers >= 0) & (same_boxes[answers.clamp(min=0)] == same_boxes[state])] = state
+    return named
 
 
 def shown_cameras(evaluation: EvaluationData, states: list[int]) -> list[int]:

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from carff import evaluate_futures as futures_part
-from carff.evaluate_futures import evaluate_futures, example_view, futures_of, shown_cameras, shrunk
+from carff.evaluate_futures import evaluate_futures, example_view, futures_of, named_as, shown_cameras, shrunk
 
 
 def row_of(evaluation, state: int, camera: int) -> int:
@@ -27,6 +27,19 @@ def test_futures_of_an_occluded_picture(tiny_evaluation):
     # what is shown is what was sampled: the renderer shows the state's own picture, 0.05 (13 levels) too bright
     truth = tiny_evaluation.pictures_at(3)[futures.sampled_states[0]].astype(int)
     assert np.abs(futures.sampled_pictures[0, 0].astype(int) - truth - 12.75).max() <= 1
+
+
+def test_futures_happen_as_often_as_their_branches(tiny_evaluation):
+    weighed = replace(tiny_evaluation.table, branch_weight=torch.tensor([0.25, 0.75]))
+    futures = futures_of(replace(tiny_evaluation, table=weighed), row_of(tiny_evaluation, 0, 0))
+    assert futures.true_states == (1, 3) and futures.true_probability == (0.25, 0.75)
+
+
+def test_an_answer_that_stands_for_several_states_is_named_as_the_one_that_may_follow():
+    same_boxes = torch.tensor([0, 0, 2, 3])  # states 0 and 1 look alike to the probe, which answers 0
+    named = named_as(torch.tensor([0, 2, -1, 3]), torch.tensor([1, 3]), same_boxes)
+    assert named.tolist() == [1, 2, -1, 3]
+    assert named_as(torch.tensor([0]), torch.tensor([0, 1]), same_boxes).tolist() == [0], "the first of several"
 
 
 def test_a_future_that_the_probe_cannot_read_counts_as_unknown(tiny_evaluation, monkeypatch):
