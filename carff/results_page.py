@@ -33,7 +33,10 @@ def publish(runs: Sequence[Path], out: Path) -> Path:
 def _report(run: Path) -> dict:
     if not (run / "report.json").is_file():
         raise UserError(f"{run}: holds no report.json; run scripts/evaluate_carff.py for it first")
-    return read_transforms(run / "report.json")
+    report = read_transforms(run / "report.json")
+    if not {"run", "targets"} <= report.keys():
+        raise UserError(f"{run / 'report.json'}: is no report of scripts/evaluate_carff.py; run that again")
+    return report
 
 
 def _table(reports: Sequence[dict]) -> list[str]:

@@ -47,6 +47,13 @@ def test_a_report_of_other_figures_is_a_sentence(tmp_path):
         publish([run], tmp_path / "out")
 
 
+def test_a_foreign_report_is_a_sentence_and_nothing_is_written(tmp_path):
+    (tmp_path / "report.json").write_text("{}")
+    with pytest.raises(UserError, match=r"report.json: is no report of scripts/evaluate_carff.py"):
+        publish([tmp_path], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_run_without_report_is_a_sentence(tmp_path):
     with pytest.raises(UserError, match=r"evaluate_carff.py for it first"):
         publish([tmp_path], tmp_path / "out")
