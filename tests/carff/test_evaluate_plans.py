@@ -145,3 +145,16 @@ def test_the_time_of_a_decision_is_the_median_after_warming_up(tiny_evaluation, 
     generator = torch.Generator()
     images = tiny_evaluation.data.images
     assert decision_milliseconds(tiny_evaluation.model, images[:5], 10, generator) == pytest.approx(12.5, abs=1e-6)
+
+
+def test_every_picture_is_listed_with_its_evidence_and_its_own_success(tiny_evaluation):
+    results = evaluate_plans(tiny_evaluation).results
+    rows = results["plan_images"]["pictures"]
+    hidden = next(row for row in rows if row["camera"] == 0)
+    # Camera 0 shows state 2 (present, t0) like state 0 (absent, t0); the others tell the truck by 12 x 12 pixels.
+    assert (hidden["kind"], hidden["state"], hidden["evidence_px"]) == ("hazard", [1, 0], 0)
+    clear = [row for row in rows if row["kind"] == "clear"]
+    assert clear and all(row["state"] == [0, 0] and row["evidence_px"] == 144 for row in clear)
+    for kind in ("hazard", "clear"):
+        own = [row["success"] for row in rows if row["kind"] == kind]
+        assert sum(own) / len(own) == pytest.approx(results["plan"]["risk"]["n10"][f"{kind}_success"])
