@@ -3,6 +3,8 @@
 from carff.states import StateTable
 from hashnerf.posed_images import SPLITS, PosedImages, missing_views
 
+FEW_CAMERAS = 20
+
 
 def summarise(data: PosedImages, table: StateTable) -> list[str]:
     """Returns a few lines: views, states, cameras, splits, pictures that are missing, and what cannot be done."""
@@ -17,14 +19,21 @@ def summarise(data: PosedImages, table: StateTable) -> list[str]:
     if missing:
         shown = ", ".join(map(str, missing[:3])) + (", ..." if len(missing) > 3 else "")
         lines.append(f"{len(missing)} (branch, step, camera) without a picture: {shown}")
+    if data.cameras.width % 32 or data.cameras.height % 32:
+        lines.append(
+            "note: sides are no multiples of 32 pixels, which the conv encoder needs: crop, or use --image_size"
+        )
     return lines + [f"note: {reason}" for reason in limits(table)]
 
 
 def limits(table: StateTable) -> list[str]:
     """Returns one sentence for each part of the pipeline that the data set is not enough for."""
     reasons = []
-    if not (table.view_index("train") >= 0).any():
+    cameras = int((table.view_index("train") >= 0).any(dim=0).sum())
+    if cameras == 0:
         reasons.append("no view has the split `train`: nothing can be trained")
+    elif cameras < FEW_CAMERAS:
+        reasons.append(f"{cameras} cameras are few for a radiance field: expect shapes to be wrong, use dozens")
     if not (table.successor >= 0).any():
         reasons.append("every branch has a single step: train_mdn.py will refuse, as a forecast needs two or more")
     if not any(table.actors):

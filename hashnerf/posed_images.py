@@ -20,12 +20,13 @@ from hashnerf.errors import DataError, UserError
 from hashnerf.image_files import read_depth, read_rgb, resolve_inside
 from hashnerf.lens import COEFFICIENT_KEYS, LENS_KEYS, UNSUPPORTED_COEFFICIENTS, read_lens
 from hashnerf.poses import default_scene_box, read_pose, scene_origin
-from hashnerf.transforms_json import check_extras, is_index, misspelled, read_transforms
+from hashnerf.transforms_json import EXTRA_KEYS, check_extras, is_index, misspelled, read_transforms
 
 SPLITS = ("train", "val", "test")
 IMAGE_EXTENSIONS = (".png", ".jpg")
 FRAME_KEYS = ("file_path", "transform_matrix", "branch", "step", "camera", "split", "depth_path")
 CAMERA_KEYS = (*LENS_KEYS, *COEFFICIENT_KEYS, *UNSUPPORTED_COEFFICIENTS, "w", "h")
+TOP_KEYS = ("frames", *EXTRA_KEYS, *CAMERA_KEYS)
 READER_THREADS = 4
 
 
@@ -96,7 +97,8 @@ def load_posed_images(folder: Path | str, image_size: int | None = None) -> Pose
     document = read_transforms(source)
     entries = document.get("frames")
     if not isinstance(entries, list) or not entries:
-        raise DataError(str(source), ["'frames' must be a list with at least one frame"])
+        slips = misspelled(document, TOP_KEYS)
+        raise DataError(str(source), ["'frames' must be a list with at least one frame", *slips])
     if image_size is not None and image_size < 1:
         raise UserError(f"image_size = {image_size} must be at least 1 pixel")
     with ThreadPoolExecutor(READER_THREADS) as pool:
@@ -108,6 +110,7 @@ def load_posed_images(folder: Path | str, image_size: int | None = None) -> Pose
         + _told_once(views, "lens_problems")
         + _across_views(views, document, image_size)
     )
+    problems += misspelled(document, TOP_KEYS)
     problems += check_extras(document, [view.key for view in views if view.key is not None])
     if problems:
         raise DataError(str(source), problems)
@@ -155,7 +158,7 @@ def _read_view(folder: Path, document: dict, row: int, entry: object, image_size
     shown = "".join(letter if letter.isprintable() else "?" for letter in str(entry.get("file_path"))[:80])
     view = _View(f"frame {row} ({shown})")
     _read_frame(view, entry, row)
-    view.key_problems = misspelled(entry, FRAME_KEYS)
+    view.key_problems = misspelled(entry, (*FRAME_KEYS, *CAMERA_KEYS))
     view.pose, problem = read_pose(entry.get("transform_matrix"))
     if problem is not None:
         view.problems.append(f"transform_matrix {problem}")

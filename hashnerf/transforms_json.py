@@ -138,7 +138,7 @@ def is_point(value: object) -> bool:
 def check_extras(document: dict, views: list[tuple[int, int, int]]) -> list[str]:
     """Every problem in the optional top-level keys, one line each; `views` holds each frame's branch, step, camera."""
     checks = (_scene_box, _states, _names, _branch_weights, _actors, _visibility, _world)
-    return misspelled(document, EXTRA_KEYS) + [problem for check in checks for problem in check(document, views)]
+    return [problem for check in checks for problem in check(document, views)]
 
 
 def misspelled(entry: dict, known: tuple[str, ...]) -> list[str]:

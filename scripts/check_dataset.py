@@ -9,6 +9,7 @@ from pathlib import Path
 from carff.dataset_summary import summarise
 from carff.states import build_state_table
 from hashnerf.command_line import parse_config, run_main
+from hashnerf.errors import UserError
 from hashnerf.posed_images import load_posed_images
 
 
@@ -26,6 +27,8 @@ def main() -> None:
     data = load_posed_images(Path(config.dataset))
     for line in summarise(data, build_state_table(data)):
         print(line)
+    if not len(data.split("train")):
+        raise UserError(f"{config.dataset}: nothing can be trained; give cameras the split `train`")
 
 
 if __name__ == "__main__":

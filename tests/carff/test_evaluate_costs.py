@@ -50,6 +50,7 @@ def test_costs_of_training_add_up_with_this_evaluation(tiny_evaluation):
     part = evaluate_costs(tiny_evaluation, 2.0)
     # three models of 1.5 s each and 2 s of evaluation
     assert part.results["seconds_total"] == pytest.approx(6.5)
+    assert part.results["seconds_cover"] == "trainings and evaluation only"
     names = [stage["name"] for stage in part.results["stages"]]
     assert names == ["PC-VAE", "radiance field", "forecast", "evaluation"]
     assert set(part.figures) == {"stages"}
@@ -73,6 +74,7 @@ def test_whole_processes_that_were_timed_count_instead(tiny_evaluation):
     (tiny_evaluation.config.folder / "timings.json").write_text(json.dumps({"stages": timed}))
     results = evaluate_costs(tiny_evaluation, 5.0).results
     assert results["seconds_total"] == 35.0, "10 + 20 + 5; an earlier evaluation does not count"
+    assert results["seconds_cover"] == "whole run"
     assert [stage["name"] for stage in results["stages"]] == ["data set", "PC-VAE", "evaluation"]
 
 

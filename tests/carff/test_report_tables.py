@@ -45,7 +45,9 @@ def test_tables_without_results_are_empty_or_dashes():
     for build in (data_tables, pcvae_tables, forecast_tables, plan_tables, closed_loop_tables):
         assert not any(table.rows for table in build({}))
     assert scene_tables({})[0].rows[0][1:] == ("–", "–")
-    assert cost_tables({})[0].rows == (("whole run", "–", "–"),)
+    assert cost_tables({})[0].rows == (("total", "–", "–"),)
+    partial = {"seconds_cover": "trainings and evaluation only", "seconds_total": 3.0}
+    assert cost_tables(partial)[0].rows[-1][0] == "trainings and evaluation only"
 
 
 def test_scene_table_sets_trained_beside_held_out():

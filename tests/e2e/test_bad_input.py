@@ -110,6 +110,9 @@ def test_a_data_set_is_checked_without_training(data):
         "cameras: 2 train, 0 val, 0 test",
     ]
     document = read(data)
+    write(data, {**document, "frames": [{**frame, "split": "test"} for frame in document["frames"]]})
+    untrainable = check()
+    assert untrainable.returncode == 2 and "nothing can be trained" in untrainable.stderr
     document["frames"][0]["brnch"] = document["frames"][1]["brnch"] = 0
     write(data, document)
     bad = check()

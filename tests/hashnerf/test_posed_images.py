@@ -265,6 +265,10 @@ def test_pictures_of_several_sizes_are_reported_without_stated_sizes(folder):
         (lambda d: d.update(frames=[]), "'frames' must be a list with at least one frame"),
         (lambda d: d.pop("frames"), "'frames' must be a list with at least one frame"),
         (lambda d: d.update(frames={"0": {}}), "'frames' must be a list with at least one frame"),
+        (lambda d: d.update(Cx=4.0), "the key 'Cx' is unknown; did you mean 'cx'?"),
+        (lambda d: d["frames"][2].update(Camera_angle_x=1.0), "did you mean 'camera_angle_x'?"),
+        (lambda d: d.update(branch_weight=[1.0, 1.0]), "'branch_weight' is unknown; did you mean 'branch_weights'?"),
+        (lambda d: d.update({"scene-box": 1}), "'scene-box' is unknown; did you mean 'scene_box'?"),
         (lambda d: d["frames"].append("images/x.png"), "frame 6: must be an object with file_path"),
         (
             lambda d: d.update(fl_x=0),
@@ -286,6 +290,11 @@ def test_a_bad_document_is_named(folder, change, sentence):
     _edit(folder, change)
     (problem,) = _problems(folder)
     assert sentence in problem
+
+
+def test_misspelled_frames_are_recognised(folder):
+    _edit(folder, lambda document: document.update(frame=document.pop("frames")))
+    assert "the key 'frame' is unknown; did you mean 'frames'?" in _problems(folder)
 
 
 def test_every_problem_comes_in_one_report(folder):

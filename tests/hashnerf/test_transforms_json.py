@@ -190,8 +190,6 @@ def test_keys_of_other_tools_are_left_alone():
         ({"visibility": {"truck": [[0, 0, 9, 1, 2]]}}, "names branch 0 step 0 camera 9, which no frame shows"),
         ({"visibility": {"truck": [[0, 0, 1, 3, 2]]}}, "visibility.truck[0] has 3 visible pixels but only 2"),
         ({"world": "intersection"}, "world must be an object"),
-        ({"branch_weight": [1.0, 1.0]}, "the key 'branch_weight' is unknown; did you mean 'branch_weights'?"),
-        ({"scene-box": [[0, 0, 0], [1, 1, 1]]}, "the key 'scene-box' is unknown; did you mean 'scene_box'?"),
     ],
 )
 def test_a_bad_extra_is_named(document, sentence):
