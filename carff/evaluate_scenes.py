@@ -128,10 +128,8 @@ def render_scenes(
     cameras = evaluation.model.scene.cameras
     if 0 < width < cameras.width:
         cameras = cameras.scaled(width, max(1, round(cameras.height * width / cameras.width)))
-    cameras = cameras.to(nerf.latent_centre.device)
-    pictures = [nerf.render(latent, cameras, camera).rgb.cpu() for latent in latents]
-    shape = (len(latents), cameras.height, cameras.width, 3)
-    return (torch.stack(pictures).clamp(0, 1) * 255).round().byte().reshape(shape).numpy()
+    pictures = torch.stack([nerf.picture(latent, cameras, camera) for latent in latents])
+    return (pictures.clamp(0, 1) * 255).round().byte().numpy()
 
 
 def with_suffix(key: str, suffix: str) -> str:

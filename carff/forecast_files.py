@@ -46,8 +46,8 @@ def forecast_image(
         raise UserError(f"{out}: is a file; give a folder for the forecast") from error
     for sample, latent in enumerate(forecast.latents[-1]):
         for name, number in views.items():
-            seen = model.nerf.render(latent, cameras, number).rgb.reshape(cameras.height, cameras.width, 3)
-            write_png(out / f"sample{sample:02d}_{name}.png", (seen.cpu() * 255).round().byte().numpy())
+            seen = model.nerf.picture(latent, cameras, number)
+            write_png(out / f"sample{sample:02d}_{name}.png", (seen * 255).round().byte().numpy())
     document = {
         "image": str(image),
         "seed": seed,

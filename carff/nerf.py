@@ -19,7 +19,7 @@ from hashnerf.field import Field, FieldConfig
 from hashnerf.fit import FitConfig
 from hashnerf.marching import MarchSettings
 from hashnerf.occupancy import OccupancyConfig, OccupancyGrid
-from hashnerf.render import Rendering, render_image
+from hashnerf.render import render_image
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,13 @@ class NerfConfig:
     """Further steps on a copy of the field that also sees the bird's-eye camera (the paper trains on it)."""
     new_share: float = 0.5
     """Share of the rays of those steps, changed pixels apart, that go through the bird's-eye camera."""
+    supersample: int = 1
+    """Rays per pixel along each axis when a picture is rendered: a pixel is the mean over an area."""
     save_every: int = 500
     """Steps between checkpoints."""
 
     def __post_init__(self):
-        for key in ("steps", "latents_per_step", "bank_per_state", "save_every"):
+        for key in ("steps", "latents_per_step", "bank_per_state", "supersample", "save_every"):
             if getattr(self, key) < 1:
                 raise UserError(f"nerf.{key} is {getattr(self, key)}; give at least 1")
         if self.birds_eye_steps < 0:
@@ -123,14 +125,16 @@ class LatentNerf(nn.Module):
         return self.field.density_bank(points.to(self.latent_centre.device), self.condition(latents)).cpu()
 
     @torch.no_grad()
-    def render(self, latent: Float[Tensor, " d"], cameras: Cameras, index: int) -> Rendering:
-        """Returns what a camera sees of the scene that one latent describes."""
+    def picture(self, latent: Float[Tensor, " d"], cameras: Cameras, index: int) -> Float[Tensor, "h w 3"]:
+        """Returns what a camera sees of the scene that one latent describes, on the CPU."""
         row = self.condition(latent[None])
+        finer, (height, width) = self.config.supersample, (cameras.height, cameras.width)
+        cameras = cameras.scaled(width * finer, height * finer).to(row.device)
 
         def index_of(x: Tensor) -> Tensor:
             return torch.zeros(len(x), dtype=torch.int64, device=x.device)
 
-        return render_image(
+        seen = render_image(
             cameras,
             index,
             lambda x, d, ray: self.field(x, d, row, index_of(x)),
@@ -138,3 +142,4 @@ class LatentNerf(nn.Module):
             self.config.march,
             lambda d: self.field.background(d, row, index_of(d)),
         )
+        return seen.rgb.cpu().reshape(height, finer, width, finer, 3).mean(dim=(1, 3))

@@ -1,13 +1,17 @@
 """Density probing: which actors stand where in the scene that a latent describes (CARFF 3.2 (a), appendix C).
 
-Candidates are the actor boxes of the data set. A box is crossed by vertical lines of points; a line's opacity is
-1 - exp(-sum sigma dz) and a box's *score* is the mean opacity of its lines, a number in [0, 1] that no single outlier
-dominates. Scores are calibrated per candidate on latents of known states: `threshold` lies between the scores with and
-without the actor, `width` is the room between them. The state whose set of occupied boxes fits best is the answer,
-unless it fits too badly: then the answer is *unknown* (-1). An absent actor is a state like any other: all of its boxes
-are empty.
+Candidates are the actor boxes of the data set. A box is crossed by vertical lines of points; a line's optical
+thickness is sum sigma dz, and a box's *score* is the mean over its lines of the logarithm of that, scaled to [0, 1]: 0
+is a thickness of 0.01 or less, 1 one of 100 or more, a quarter a factor of ten. The logarithm keeps occupied and empty
+apart where opacity, 1 - exp(-thickness), is 1 in both: colours cannot tell a road from fog of its own colour above it,
+so an empty box may have any thickness from 0.01 to 10. No single line dominates the mean.
+
+Scores are calibrated per candidate on latents of known states: `threshold` lies between the scores with and without the
+actor, `width` is the room between them. The state whose set of occupied boxes fits best is the answer, unless it fits
+too badly: then the answer is *unknown* (-1). An absent actor is a state like any other: all of its boxes are empty.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -19,7 +23,8 @@ from carff.states import ActorBox
 from hashnerf.errors import UserError
 
 UNKNOWN = -1
-SMALLEST_WIDTH = 0.2  # a gap of a few per cent of opacity is noise of the field: its vote must stay weak
+THINNEST, THICKEST = math.log(0.01), math.log(100.0)
+SMALLEST_WIDTH = 0.1  # a gap of less than a factor of 2.5 is noise of the field: its vote must stay weak
 DensityFn = Callable[[Float[Tensor, "points 3"], Float[Tensor, "latents d"]], Float[Tensor, "latents points"]]
 
 
@@ -64,7 +69,7 @@ class Probe:
     min_confidence: float
 
     def scores(self, latents: Float[Tensor, "n d"], density_fn: DensityFn) -> Float[Tensor, "n boxes"]:
-        """Returns every candidate's opacity score for every latent."""
+        """Returns every candidate's score for every latent."""
         return box_scores(self.candidates, latents, density_fn)
 
     def state_posterior(self, scores: Float[Tensor, "n boxes"]) -> Float[Tensor, "n states"]:
@@ -131,11 +136,11 @@ def box_points(box: ActorBox, config: ProbeConfig) -> Float[Tensor, "lines level
 def box_scores(
     candidates: Candidates, latents: Float[Tensor, "n d"], density_fn: DensityFn
 ) -> Float[Tensor, "n boxes"]:
-    """Returns the mean line opacity of every candidate box for every latent."""
+    """Returns the mean log thickness, scaled to [0, 1], of the lines of every candidate box for every latent."""
     shape = candidates.points.shape[:3]
     density = density_fn(candidates.points.reshape(-1, 3), latents).reshape(len(latents), *shape)
-    depth = density.sum(dim=-1) * candidates.spacing[:, None]
-    return -torch.expm1(-depth).mean(dim=-1)
+    thickness = density.sum(dim=-1) * candidates.spacing[:, None]
+    return ((thickness.log() - THINNEST) / (THICKEST - THINNEST)).clamp(0, 1).mean(dim=-1)
 
 
 def calibrate(

@@ -2,6 +2,10 @@
 
 density(x, c) = exp(bounded(raw(x, c))), 1/m; rgb(x, d, c) in [0, 1]; x world metres, d unit direction, c a condition
 vector such as a scene latent. c enters both networks after the hash grid, which all conditions share (CARFF B.3).
+
+The density is bounded by what makes a cell of the finest level opaque (`cell_thickness`). Beyond that no picture
+changes, but training goes on raising it: the logarithm is interpolated between the grid's vertices, so a surface of a
+thousand per metre leaves fog where there should be air, and the samples of a ray jump from nothing to opaque.
 Conditions are given per sample ([s, c]), or as rows ([g, c]) with the row of every sample ([s]).
 """
 
@@ -13,11 +17,13 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from hashnerf.activations import truncated_exp
+from hashnerf.activations import at_least_float32, truncated_exp
 from hashnerf.errors import UserError
 from hashnerf.hash_grid import HashGrid
 from hashnerf.mlp import MLP
 from hashnerf.spherical_harmonics import MAX_DEGREE, spherical_harmonics
+
+LEAK = 0.01
 
 
 @dataclass(frozen=True)
@@ -47,6 +53,8 @@ class FieldConfig:
     """Bands of spherical harmonics of the viewing direction, 1 (none of it matters) to 4."""
     initial_thickness: float = 3.0
     """Optical thickness of the box along its longest side before training."""
+    cell_thickness: float = 4.0
+    """Greatest optical thickness across a cell of the finest level; 4 leaves 2 % of the light."""
     mlp_dtype: Literal["float32", "bfloat16"] = "float32"
     """Arithmetic of the networks; everything else stays float32."""
     compile: bool = False
@@ -70,8 +78,14 @@ class FieldConfig:
             raise UserError(f"field.direction_degree is {self.direction_degree}: use 1 to {MAX_DEGREE}")
         if self.geometry_features < 0:
             raise UserError(f"field.geometry_features is {self.geometry_features}: use 0 or more")
-        if not 0 < self.initial_thickness < math.inf:
-            raise UserError(f"field.initial_thickness is {self.initial_thickness}: use a positive number")
+        for name in ("initial_thickness", "cell_thickness"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise UserError(f"field.{name} is {getattr(self, name)}: use a positive number")
+        if self.initial_thickness >= self.cell_thickness * self.finest_resolution:
+            raise UserError(
+                f"field.initial_thickness is {self.initial_thickness}: use less than "
+                f"{self.cell_thickness * self.finest_resolution:g}, cell_thickness times finest_resolution"
+            )
 
 
 class Field(nn.Module):
@@ -91,7 +105,11 @@ class Field(nn.Module):
         )
         # weights of the table start near zero, so this bias alone sets the density everywhere
         longest = float((scene_box[1] - scene_box[0]).amax())
-        self.log_initial_density = math.log(config.initial_thickness / longest)
+        greatest = config.cell_thickness * config.finest_resolution
+        self.log_greatest_density = math.log(greatest / longest)
+        # log1p makes up for what the bound takes from it
+        share = config.initial_thickness / greatest
+        self.log_initial_density = math.log(config.initial_thickness / longest) - math.log1p(-share)
         low = config.mlp_dtype == "bfloat16"
         harmonics, geometry = config.direction_degree**2, config.geometry_features
         encoded = self.hash_grid.out_features
@@ -123,7 +141,13 @@ class Field(nn.Module):
 
     def _density(self, positions: Tensor, condition: list[Tensor]) -> tuple[Tensor, Tensor]:
         out = self.density_network([self.hash_grid(positions), *condition])
-        return truncated_exp(out[:, 0] + self.log_initial_density), out[:, 1:]
+        return self._bounded_density(out[:, 0]), out[:, 1:]
+
+    def _bounded_density(self, raw: Tensor) -> Tensor:
+        log_density = at_least_float32(raw) + self.log_initial_density
+        # the leak keeps a slope however far beyond the bound a value has strayed, so that it can come back
+        over = nn.functional.softplus(log_density - self.log_greatest_density)
+        return truncated_exp(log_density - (1 - LEAK) * over)
 
     def _columns(self, condition: Tensor | None, index: Tensor | None) -> list[Tensor]:
         """The condition of each sample as a list of input columns: one tensor or none."""
@@ -143,7 +167,7 @@ class Field(nn.Module):
         """Return the density (1/m) at each position under each condition of a bank; positions are encoded once."""
         self._check(conditions)
         out = self.density_network.first_output_bank(self.hash_grid(positions), conditions)
-        return truncated_exp(out + self.log_initial_density)
+        return self._bounded_density(out)
 
     def forward(
         self,

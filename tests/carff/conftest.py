@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -111,10 +110,9 @@ class KnowingNerf(LatentNerf):
         self.register_buffer("latent_centre", torch.zeros(1))
         self.images, self.views, self.error = images, views, error
 
-    def render(self, latent: torch.Tensor, cameras: Cameras, index: int) -> SimpleNamespace:
-        """Returns what has an `rgb` [pixels, 3]."""
-        picture = self.images[self.views[latent.argmax(), index]].float() / 255 + self.error
-        return SimpleNamespace(rgb=picture.reshape(-1, 3))
+    def picture(self, latent: torch.Tensor, cameras: Cameras, index: int) -> torch.Tensor:
+        """Returns a picture [h, w, 3]."""
+        return self.images[self.views[latent.argmax(), index]].float() / 255 + self.error
 
 
 class KnowingModel(CarffModel):

@@ -1,10 +1,13 @@
 """The latent-conditioned field: standardised conditions, a bank that travels, the schedule of fresh latents."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from carff.latent_bank import build_bank
 from carff.nerf import LatentNerf, NerfConfig
+from hashnerf.cameras import Cameras
 from hashnerf.errors import UserError
 from hashnerf.field import FieldConfig
 from hashnerf.occupancy import OccupancyConfig
@@ -14,6 +17,13 @@ SMALL = NerfConfig(
     occupancy=OccupancyConfig(cell=1.0),
 )
 BOX = torch.tensor([[-2.0, -2.0, 0.0], [2.0, 2.0, 2.0]])
+
+
+def looking_down(width: int, height: int) -> Cameras:
+    pose = torch.eye(4)[None].clone()
+    pose[0, 2, 3] = 5.0
+    focal, centre = torch.full((1, 2), float(width)), torch.tensor([[width / 2, height / 2]])
+    return Cameras(pose, focal, centre, torch.zeros(1, 4), width, height)
 
 
 def build() -> LatentNerf:
@@ -44,6 +54,17 @@ def test_density_is_one_row_per_latent():
     density = nerf.density(points, torch.tensor([[0.0, 10.0], [6.0, 30.0], [0.0, 10.0]]))
     assert density.shape == (3, 7)
     assert torch.equal(density[0], density[2])
+
+
+def test_a_pixel_is_the_mean_of_its_rays():
+    nerf, cameras = build(), looking_down(4, 2)
+    torch.nn.init.uniform_(nerf.field.hash_grid.table, -3, 3)
+    latent = torch.tensor([0.0, 10.0])
+    fine = nerf.picture(latent, cameras.scaled(8, 4), 0)
+    by_hand = torch.stack([fine[0::2, 0::2], fine[1::2, 0::2], fine[0::2, 1::2], fine[1::2, 1::2]]).mean(dim=0)
+    nerf.config = replace(SMALL, supersample=2)
+    assert torch.allclose(nerf.picture(latent, cameras, 0), by_hand, atol=1e-6)
+    assert by_hand.std() > 1e-3, "the picture must show something"
 
 
 def test_fresh_share_by_hand():

@@ -46,7 +46,7 @@ def test_latents_switch_the_scene(tiny_data, tiny_table, tmp_path):
     nerf = build_nerf(CONFIG, beliefs(), tiny_data.scene_box, seed=0)
     train_nerf(CONFIG, nerf, tiny_data, training_views(tiny_table), tmp_path / "run", {}, CONFIG.steps)
     trained, _ = load_model(tmp_path / "run", lambda _: LatentNerf(CONFIG, tiny_data.scene_box, 2, 16), "x")
-    truth = tiny_data.images.reshape(4, 4, 32 * 32, 3).float() / 255
-    shown = [trained.render(trained.bank.state_beliefs().mean[s], tiny_data.cameras, 1).rgb for s in range(4)]
+    truth = tiny_data.images.reshape(4, 4, 32, 32, 3).float() / 255
+    shown = [trained.picture(trained.bank.state_beliefs().mean[s], tiny_data.cameras, 1) for s in range(4)]
     errors = torch.tensor([[(shown[s] - truth[other, 1]).square().mean() for other in range(4)] for s in range(4)])
     assert torch.equal(errors.argmin(dim=1), torch.arange(4))

@@ -1,4 +1,4 @@
-"""Probing: geometry of the candidate lines, opacity by hand, calibration, absent and unknown as answers."""
+"""Probing: geometry of the candidate lines, thickness by hand, calibration, absent and unknown as answers."""
 
 import math
 
@@ -37,10 +37,26 @@ def test_points_lie_inside_the_turned_box():
 
 
 def test_scores_by_hand():
-    # A line of 4 points 0.4 m apart at density 3: opacity 1 - exp(-4 * 0.4 * 3) = 0.99177.
+    # A line of 4 points 0.4 m apart at density 3: thickness 4.8, and log(4.8 / 0.01) / log(100 / 0.01) = 0.67031.
     candidates = build_candidates(STATES, CONFIG)
     scores = box_scores(candidates, torch.tensor([[0.0], [2.0]]), density_of(STATES))
-    assert torch.allclose(scores, torch.tensor([[0.99177, 0.0], [0.0, 0.0]]), atol=1e-5)
+    assert torch.allclose(scores, torch.tensor([[0.67031, 0.0], [0.0, 0.0]]), atol=1e-5)
+
+
+@pytest.mark.parametrize("density, score", [(0.0, 0.0), (1e-30, 0.0), (1e-3, 0.0), (1e3, 1.0), (1e30, 1.0)])
+def test_scores_are_bounded(density, score):
+    candidates = build_candidates(STATES, CONFIG)
+    scores = box_scores(candidates, torch.zeros(1, 1), lambda points, latents: torch.full((1, len(points)), density))
+    assert torch.equal(scores, torch.full((1, 2), score))
+
+
+def test_an_empty_box_full_of_fog_is_still_told_from_an_occupied_one():
+    # thickness 6 without the actor and 30 with it: both let less than 0.3 % of the light through
+    candidates = build_candidates(STATES, CONFIG)
+    latents = torch.tensor([[0.0], [1.0], [2.0]]).repeat(10, 1)
+    scores = box_scores(candidates, latents, lambda points, rows: 3.75 + 5 * density_of(STATES)(points, rows))
+    probe = calibrate(candidates, scores, latents[:, 0].long(), 0.6)
+    assert torch.equal(probe.classify(scores), latents[:, 0].long())
 
 
 def probe_of(noise: float = 0.0):

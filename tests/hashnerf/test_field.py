@@ -83,6 +83,20 @@ def test_density_is_bounded_whatever_the_weights_say():
     assert all(parameter.grad.isfinite().all() for parameter in field.parameters() if parameter.grad is not None)
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16, torch.float16])
+def test_a_cell_is_at_most_opaque_and_can_become_clear_again(dtype):
+    # finest cell 8 m / 16 = 0.5 m, thickness 4: 8 per metre
+    field = trained_like(dataclasses.replace(SMALL, cell_thickness=4.0))
+    raw = torch.tensor([-50.0, -3.0, 5.0, 50.0, 6e4], dtype=dtype, requires_grad=True)
+    density = field._bounded_density(raw)
+    assert (density.diff() >= 0).all()
+    assert density[2] < 8.0 and density[3] < 14.0, "the leak lets 50 e-foldings beyond the bound count as half of one"
+    free = torch.exp(raw.detach().float()[1] + field.log_initial_density)
+    assert torch.allclose(density[1], free, rtol=0.02), "far below the bound nothing changes"
+    (gradient,) = torch.autograd.grad(density.sum(), raw)
+    assert gradient.isfinite().all() and (gradient[1:] > 0).all()
+
+
 def test_no_samples_still_connect_every_parameter():
     field = trained_like()
     density, rgb = field(torch.zeros(0, 3), torch.zeros(0, 3), torch.zeros(1, 3), torch.zeros(0, dtype=torch.int64))
@@ -143,6 +157,8 @@ def test_without_a_compiler_the_field_still_works(monkeypatch, caplog):
         ("direction_degree", 5),
         ("geometry_features", -1),
         ("initial_thickness", 0.0),
+        ("initial_thickness", 768.0),
+        ("cell_thickness", 0.0),
         ("hidden_width", 0),
     ],
 )
