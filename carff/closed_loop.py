@@ -1,7 +1,7 @@
 """Closed-loop episodes in an embedded world: what the ego's camera sees decides, again and again, until it has crossed.
 
 All episodes of a policy advance together, so that pictures are encoded and futures probed in batches. A policy maps
-(drives, their numbers) to one command each: True for go. Policies that do not look are functions of the drive alone.
+drives and their numbers to one command each: True for go. Policies that do not look are functions of the drive alone.
 """
 
 import os
@@ -32,11 +32,12 @@ from carff.driving import (
 from carff.model import CarffModel, load_carff
 from carff.planner import PlannerConfig
 from carff.planning_metrics import ALWAYS_GO, ALWAYS_STOP, Episode
+from carff.state_memory import StateMemory, state_transitions
 from hashnerf.errors import UserError
 from worlds.scenarios import world_from_description
 from worlds.scene import Scene, World, ego_camera
 
-Policy = Callable[[list[Drive]], list[bool]]
+Policy = Callable[[list[Drive], list[int]], list[bool]]
 Look = Callable[[list[Drive]], Tensor]
 MOST_PICTURES = 4000  # of 128 x 128 pixels: 200 MB
 
@@ -57,18 +58,28 @@ class Camera:
 
 
 class SeeingPolicy:
-    """Decides from the ego camera's picture: encode, forecast n futures, probe, apply the planner's rule.
+    """Decides from the ego camera's pictures: encode, forecast n futures, probe, remember, apply the planner's rule.
 
     `look` renders what the cameras of some drives see, [drives, h, w, 3].
     """
 
-    def __init__(self, model: CarffModel, look: Look, planner: PlannerConfig, n: int, seed: int):
+    def __init__(self, model: CarffModel, look: Look, planner: PlannerConfig, n: int, seed: int, step_seconds: float):
         self.model, self.look, self.planner, self.n = model, look, planner, n
         self.generator = torch.Generator().manual_seed(seed)
+        self.transitions, self.step_seconds = state_transitions(model, self.generator), step_seconds
+        self.memories: dict[int, StateMemory] = {}
 
-    def __call__(self, drives: list[Drive]) -> list[bool]:
+    def __call__(self, drives: list[Drive], numbers: list[int]) -> list[bool]:
         """Returns go or stop for each drive."""
-        decisions = decide_from_pictures(self.model, self.look(drives), self.planner, self.n, self.generator)
+        occupied = self.model.probe.candidates.occupied
+        for number in numbers:
+            self.memories.setdefault(number, StateMemory(self.transitions, occupied, self.step_seconds))
+
+        def rule_out(place: int, posterior: Tensor) -> Tensor:
+            return self.memories[numbers[place]].rule_out(drives[place].time, posterior)
+
+        pictures = self.look(drives)
+        decisions = decide_from_pictures(self.model, pictures, self.planner, self.n, self.generator, rule_out)
         return [one.go for one in decisions]
 
 
@@ -79,7 +90,7 @@ def drive_episodes(world: World, policy: Policy, setups: list, config: DrivingCo
     for tick in range(round(config.longest / config.tick)):
         if tick % config.decision_ticks == 0:
             open_ = [i for i, drive in enumerate(drives) if not drive.over and stop_matters(world, drive, config)]
-            for i, command in zip(open_, policy([drives[i] for i in open_]) if open_ else []):
+            for i, command in zip(open_, policy([drives[i] for i in open_], open_) if open_ else []):
                 go[i] = command
                 decisions[i] += 1
         drives = [d if d.over else advance(world, d, go[i], config) for i, d in enumerate(drives)]
@@ -97,9 +108,9 @@ def closed_loop(
     setups = [draw_setup(world, config, rng) for _ in range(episodes)]
     camera = Camera(description, model.scene.cameras.width, model.scene.cameras.height)
     blind: dict[str, Policy] = {
-        ALWAYS_STOP: lambda drives: [False] * len(drives),
-        ALWAYS_GO: lambda drives: [True] * len(drives),
-        "oracle": lambda drives: [going_is_safe(world, drive, config) for drive in drives],
+        ALWAYS_STOP: lambda drives, _: [False] * len(drives),
+        ALWAYS_GO: lambda drives, _: [True] * len(drives),
+        "oracle": lambda drives, _: [going_is_safe(world, drive, config) for drive in drives],
     }
     runs = {name: drive_episodes(world, policy, setups, config) for name, policy in blind.items()}
     # A fresh interpreter per worker: forking a process whose tensor threads are running can hang.
@@ -107,7 +118,8 @@ def closed_loop(
         look = remembering(world, lambda drives: list(pool.map(camera.picture, drives)))
         for rule in ("risk", "paper"):
             planner = replace(model.config.planner, rule=rule)
-            runs[rule] = drive_episodes(world, SeeingPolicy(model, look, planner, n, seed), setups, config)
+            policy = SeeingPolicy(model, look, planner, n, seed, world.traffic.step_seconds)
+            runs[rule] = drive_episodes(world, policy, setups, config)
     return compared(runs)
 
 

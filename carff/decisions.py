@@ -6,13 +6,17 @@ mixture's components: with independent draws, 10 futures of a hazard of probabil
 of all cases, which is noise of the sampling and not knowledge.
 """
 
+from collections.abc import Callable
+
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from carff.beliefs import Belief, sample_beliefs
 from carff.model import CarffModel
 from carff.planner import Decision, PlannerConfig, decide
+
+RuleOut = Callable[[int, Float[Tensor, "n states"]], Bool[Tensor, " n"]]
 
 
 @torch.no_grad()
@@ -41,7 +45,17 @@ def decide_from_pictures(
     planner: PlannerConfig,
     n: int,
     generator: torch.Generator,
+    rule_out: RuleOut | None = None,
 ) -> list[Decision]:
-    """Returns one decision per picture, each from `n` sampled futures of its own."""
-    scores = sample_scores_ahead(model, model.encode(pictures), n, generator)
-    return [decide(*model.hazards(row), planner) for row in scores]
+    """Returns one decision per picture, each from `n` sampled futures of its own.
+
+    `rule_out` tells from a picture's number and the state posteriors of its futures which of them cannot be; those that
+    are no hazards count as unknown.
+    """
+    decisions = []
+    for number, scores in enumerate(sample_scores_ahead(model, model.encode(pictures), n, generator)):
+        hazard, unknown = model.hazards(scores)
+        if rule_out is not None:
+            unknown |= rule_out(number, model.probe.state_posterior(scores)) & ~hazard
+        decisions.append(decide(hazard, unknown, planner))
+    return decisions

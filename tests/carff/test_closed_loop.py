@@ -56,7 +56,7 @@ def setups(count: int) -> list[Setup]:
 def test_policies_are_asked_for_all_open_drives_at_once_and_only_where_stopping_matters():
     calls: list[list[Drive]] = []
 
-    def cautious(drives: list[Drive]) -> list[bool]:
+    def cautious(drives: list[Drive], numbers: list[int]) -> list[bool]:
         calls.append(drives)
         return [False] * len(drives)
 
@@ -69,7 +69,7 @@ def test_policies_are_asked_for_all_open_drives_at_once_and_only_where_stopping_
 
 
 def test_an_ego_that_was_told_too_late_drives_on():
-    def late(drives: list[Drive]) -> list[bool]:
+    def late(drives: list[Drive], numbers: list[int]) -> list[bool]:
         return [WORLD.traffic.stop - drive.s > 5.6 for drive in drives]
 
     drives, _ = drive_episodes(WORLD, late, setups(12), CONFIG)
@@ -90,10 +90,12 @@ def test_the_picture_is_what_stands_before_the_bumper():
 def test_a_seeing_policy_decides_from_each_drives_own_picture(tiny_evaluation, monkeypatch):
     shown: list[torch.Tensor] = []
 
-    def from_pictures(model, pictures, planner, n, generator):
+    def from_pictures(model, pictures, planner, n, generator, rule_out):
         shown.append(pictures)
         assert (planner.rule, n) == ("paper", 7)
         flags = pictures.flatten(1).float().mean(dim=1) > 100
+        for place in range(len(pictures)):
+            rule_out(place, torch.eye(4)[[place]])
         return [decide(flag[None], ~flag[None] & False, planner) for flag in flags]
 
     monkeypatch.setattr(module, "decide_from_pictures", from_pictures)
@@ -101,9 +103,11 @@ def test_a_seeing_policy_decides_from_each_drives_own_picture(tiny_evaluation, m
     def look(drives: list[Drive]) -> torch.Tensor:
         return torch.stack([torch.full((32, 32, 3), int(drive.s), dtype=torch.uint8) for drive in drives])
 
-    policy = SeeingPolicy(tiny_evaluation.model, look, PlannerConfig(rule="paper"), 7, 0)
+    policy = SeeingPolicy(tiny_evaluation.model, look, PlannerConfig(rule="paper"), 7, 0, step_seconds=1.0)
     drives = [replace(begin(setups(1)[0]), s=s) for s in (50.0, 150.0)]
-    assert policy(drives) == [True, False]
+    assert policy(drives, [3, 8]) == [True, False]
+    # each drive remembers its own readings, whatever its place among those that are open
+    assert {number: int(memory.belief.argmax()) for number, memory in policy.memories.items()} == {3: 0, 8: 1}
     assert shown[0].shape == (2, 32, 32, 3)
 
 
@@ -158,7 +162,7 @@ def test_a_run_is_driven_with_every_policy_over_the_same_episodes(tiny_evaluatio
     monkeypatch.setattr(module, "load_carff", lambda folder: model)
     monkeypatch.setattr(module, "ProcessPoolExecutor", InProcess)
 
-    def by_rule(model, pictures, planner, n, generator):  # the risk rule never waits here, the paper's always does
+    def by_rule(model, pictures, planner, n, generator, rule_out):  # risk never waits here, paper always
         hazard = torch.tensor([planner.rule == "paper"])
         return [decide(hazard, ~hazard & False, replace(planner, rule="paper")) for _ in pictures]
 
