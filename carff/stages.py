@@ -17,6 +17,7 @@ from carff.config import CarffConfig
 from carff.dataset_summary import limits
 from carff.mdn_training import build_mdn, train_mdn
 from carff.model_files import load_model
+from carff.nerf import NerfConfig
 from carff.nerf_training import build_nerf, train_nerf, training_views
 from carff.pcvae import Pcvae
 from carff.pcvae_training import train_pcvae
@@ -93,21 +94,28 @@ def run_nerf(config: CarffConfig) -> None:
     if more == 0 or torch.equal(views, held_out):
         return
     load_model(config.folder / "nerf", lambda _: nerf, "scripts/train_nerf.py")
-    fit = config.nerf.fit
-    settled = replace(
-        config.nerf,
-        fresh_start=0.0,
-        fresh_end=0.0,
-        fit=replace(
-            fit,
-            learning_rate=fit.learning_rate * fit.final_share * 2,
-            network_learning_rate=fit.network_learning_rate * fit.final_share * 2,
-            seed=fit.seed + 1,
-        ),
-    )
     train_nerf(
-        settled, nerf, data, views, config.folder / "nerf_birds_eye", record, more, fabric, config.overwrite, held_out
+        settled(config.nerf),
+        nerf,
+        data,
+        views,
+        config.folder / "nerf_birds_eye",
+        record,
+        more,
+        fabric,
+        config.overwrite,
+        held_out,
     )
+
+
+def settled(config: NerfConfig) -> NerfConfig:
+    """Returns the config by which a trained field goes on: small steps, fresh latents, all samples from the start."""
+    fit = config.fit
+    small = {name: getattr(fit, name) * fit.final_share * 2 for name in ("learning_rate", "network_learning_rate")}
+    # few samples a ray would turn surfaces into fog again
+    samples = config.march.samples_per_opacity
+    further = replace(fit, **small, first_samples_per_opacity=samples, seed=fit.seed + 1)
+    return replace(config, fresh_start=0.0, fresh_end=0.0, fit=further)
 
 
 def run_mdn(config: CarffConfig) -> None:

@@ -47,9 +47,10 @@ class FitConfig:
     """Most rays of a step."""
     batch_samples: int = 1 << 16
     """Samples a step should have: the number of rays adapts to it."""
-    first_samples_per_opacity: float = 1.5
+    first_samples_per_opacity: float = 4.0
     """`march.samples_per_opacity` of the first step; it grows geometrically to the march's own. While all is fog many
-    rays teach more than many samples a ray; thin surfaces need the samples. No effect with `march.samples` 0."""
+    rays teach more than many samples a ray. Too few make the fog last: a thin surface that is hit by chance gives noisy
+    colours, a thick one does not (docs/results/notes.md). No effect with `march.samples` 0."""
     occupancy_every: int = 16
     """Steps between updates of the occupancy grid."""
     log_every: int = 20

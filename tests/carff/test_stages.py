@@ -12,9 +12,11 @@ from carff.nerf import NerfConfig
 from carff.nerf_training import training_views
 from carff.pcvae import PcvaeConfig
 from carff.scene_info import scene_info
-from carff.stages import device_of, encode_views, new_pcvae, run_mdn, run_nerf
+from carff.stages import device_of, encode_views, new_pcvae, run_mdn, run_nerf, settled
 from hashnerf.command_line import save_config
 from hashnerf.errors import UserError
+from hashnerf.fit import FitConfig
+from hashnerf.marching import MarchSettings
 
 
 def test_auto_takes_the_gpu_if_there_is_one():
@@ -63,3 +65,13 @@ def test_the_last_steps_of_the_field_know_which_cameras_are_new(tmp_path, monkey
     (*_, steps, _, _), (*_, more, _, _, known) = calls
     assert (steps, more) == (config.nerf.steps, 7)
     assert torch.equal(known, held_out) and torch.equal(calls[1][3], training_views(tiny_table))
+
+
+def test_a_trained_field_goes_on_gently():
+    fit = FitConfig(learning_rate=0.1, network_learning_rate=0.01, final_share=0.1, seed=3)
+    config = NerfConfig(fit=fit, march=MarchSettings(samples_per_opacity=12.0))
+    further = settled(config)
+    assert further.fit.learning_rate == pytest.approx(0.02), "twice what the first training ended with"
+    assert further.fit.network_learning_rate == pytest.approx(0.002)
+    assert further.fit.first_samples_per_opacity == 12.0 and further.fit.seed == 4
+    assert further.fresh_share(0) == 1.0 and further.field == config.field
