@@ -1,9 +1,10 @@
 """From pictures to decisions: encode, forecast n next states, probe them, apply the planner's rule.
 
 A forecast knows no state beyond the last one of a branch: what it says there was never trained. A sampled present that
-is such a last state therefore stands for its own future. Decisions draw the n next scenes systematically over the
-mixture's components: with independent draws, 10 futures of a hazard of probability 1/3 show none or one of it in 10 %
-of all cases, which is noise of the sampling and not knowledge.
+is such a last state therefore stands for its own future, if it tells whether it is a hazard: a picture that fits
+several steps gives samples between them, half of each, that tell nothing. Decisions draw the n next scenes
+systematically over the mixture's components: with independent draws, 10 futures of a hazard of probability 1/3 show
+none or one of it in 10 % of all cases, which is noise of the sampling and not knowledge.
 """
 
 from collections.abc import Callable
@@ -36,6 +37,7 @@ def sample_scores_ahead(
     ahead = sample_next_scores(model, belief, n, generator, systematic=True)
     present = model.probe_scores(sample_beliefs(belief, n, generator).flatten(0, 1))
     last = model.probe.agreed(present, (model.scene.successor < 0).long()) == 1
+    last &= ~model.hazards(present)[1]
     return torch.where(last[:, None], present, ahead.flatten(0, 1)).reshape(ahead.shape)
 
 

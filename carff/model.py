@@ -15,7 +15,7 @@ from carff.mdn_training import build_mdn
 from carff.model_files import load_model
 from carff.nerf import LatentNerf
 from carff.pcvae import Pcvae
-from carff.probe import UNKNOWN, Probe, ProbeConfig, build_candidates, calibrate
+from carff.probe import UNKNOWN, Probe, ProbeConfig, box_thickness, build_candidates, calibrate
 from carff.scene_info import SceneInfo, load_scene_info
 from carff.stages import CONFIG, SCENE, device_of, load_pcvae
 from hashnerf.command_line import load_config
@@ -101,6 +101,5 @@ def calibrated_probe(config: ProbeConfig, scene: SceneInfo, nerf: LatentNerf, se
     generator = torch.Generator().manual_seed(seed)
     states = torch.arange(len(scene.states)).repeat(CALIBRATION_DRAWS)
     latents = nerf.bank.draw(states, 1.0, generator)
-    blank = Probe(candidates, torch.zeros(len(candidates.names)), torch.ones(len(candidates.names)), 0.0)
-    scores = torch.cat([blank.scores(part, nerf.density) for part in latents.split(64)])
-    return calibrate(candidates, scores, states, config.min_confidence)
+    thickness = torch.cat([box_thickness(candidates, part, nerf.density) for part in latents.split(64)])
+    return calibrate(candidates, thickness, states, config.min_confidence)

@@ -1,14 +1,15 @@
 """Density probing: which actors stand where in the scene that a latent describes (CARFF 3.2 (a), appendix C).
 
 Candidates are the actor boxes of the data set. A box is crossed by vertical lines of points; a line's optical
-thickness is sum sigma dz, and a box's *score* is the mean over its lines of the logarithm of that, scaled to [0, 1]: 0
-is a thickness of 0.01 or less, 1 one of 100 or more, a quarter a factor of ten. The logarithm keeps occupied and empty
-apart where opacity, 1 - exp(-thickness), is 1 in both: colours cannot tell a road from fog of its own colour above it,
-so an empty box may have any thickness from 0.01 to 10. No single line dominates the mean.
+thickness is sum sigma dz, and a box's *score* is the mean over its lines of 1 - exp(-gain thickness), a number in
+[0, 1] that no single line dominates. The gain is 1, which makes it the opacity, unless opacity is near 1 with and
+without the actor: colours cannot tell a road from fog of its own colour above it, so a box may be thick while it is
+empty, and thicker when it is not.
 
-Scores are calibrated per candidate on latents of known states: `threshold` lies between the scores with and without the
-actor, `width` is the room between them. The state whose set of occupied boxes fits best is the answer, unless it fits
-too badly: then the answer is *unknown* (-1). An absent actor is a state like any other: all of its boxes are empty.
+Gains and scores are calibrated per candidate on latents of known states: `threshold` lies between the scores with and
+without the actor, `width` is the room between them. The state whose set of occupied boxes fits best is the answer,
+unless it fits too badly: then the answer is *unknown* (-1). An absent actor is a state like any other: all of its boxes
+are empty.
 """
 
 import math
@@ -23,8 +24,8 @@ from carff.states import ActorBox
 from hashnerf.errors import UserError
 
 UNKNOWN = -1
-THINNEST, THICKEST = math.log(0.01), math.log(100.0)
-SMALLEST_WIDTH = 0.1  # a gap of less than a factor of 2.5 is noise of the field: its vote must stay weak
+SMALLEST_WIDTH = 0.2  # a gap of a few per cent of opacity is noise of the field: its vote must stay weak
+THINNEST = 1e-6
 DensityFn = Callable[[Float[Tensor, "points 3"], Float[Tensor, "latents d"]], Float[Tensor, "latents points"]]
 
 
@@ -64,13 +65,14 @@ class Probe:
     """Calibrated candidates."""
 
     candidates: Candidates
+    gain: Float[Tensor, " boxes"]
     threshold: Float[Tensor, " boxes"]
     width: Float[Tensor, " boxes"]
     min_confidence: float
 
     def scores(self, latents: Float[Tensor, "n d"], density_fn: DensityFn) -> Float[Tensor, "n boxes"]:
         """Returns every candidate's score for every latent."""
-        return box_scores(self.candidates, latents, density_fn)
+        return line_scores(box_thickness(self.candidates, latents, density_fn), self.gain)
 
     def state_posterior(self, scores: Float[Tensor, "n boxes"]) -> Float[Tensor, "n states"]:
         """Returns the probability of each state given the scores, states equally likely beforehand."""
@@ -133,29 +135,49 @@ def box_points(box: ActorBox, config: ProbeConfig) -> Float[Tensor, "lines level
     return points.flatten(0, 1)
 
 
-def box_scores(
+def box_thickness(
     candidates: Candidates, latents: Float[Tensor, "n d"], density_fn: DensityFn
-) -> Float[Tensor, "n boxes"]:
-    """Returns the mean log thickness, scaled to [0, 1], of the lines of every candidate box for every latent."""
+) -> Float[Tensor, "n boxes lines"]:
+    """Returns the optical thickness of every line of every candidate box for every latent."""
     shape = candidates.points.shape[:3]
     density = density_fn(candidates.points.reshape(-1, 3), latents).reshape(len(latents), *shape)
-    thickness = density.sum(dim=-1) * candidates.spacing[:, None]
-    return ((thickness.log() - THINNEST) / (THICKEST - THINNEST)).clamp(0, 1).mean(dim=-1)
+    return density.sum(dim=-1) * candidates.spacing[:, None]
+
+
+def line_scores(thickness: Float[Tensor, "n boxes lines"], gain: Float[Tensor, " boxes"]) -> Float[Tensor, "n boxes"]:
+    """Returns the mean over the lines of every box of 1 - exp(-gain thickness)."""
+    return -torch.expm1(-thickness * gain[:, None]).mean(dim=-1)
 
 
 def calibrate(
-    candidates: Candidates, scores: Float[Tensor, "n boxes"], state: Int[Tensor, " n"], min_confidence: float
+    candidates: Candidates,
+    thickness: Float[Tensor, "n boxes lines"],
+    state: Int[Tensor, " n"],
+    min_confidence: float,
 ) -> Probe:
-    """Sets each candidate's threshold half-way between its scores with and without the actor, on known states.
+    """Sets each candidate's gain and threshold from lines through scenes of known states.
 
-    The gap is measured between the 10 % quantile of the occupied scores and the 90 % quantile of the empty ones; a
-    candidate whose two sides overlap gets a wide, and therefore weak, vote.
+    The gap is measured between the 10 % quantile of the occupied boxes and the 90 % quantile of the empty ones. The
+    gain makes the geometric mean of their thicknesses 1, where 1 - exp(-x) separates best, but is at most 1: a faint
+    ghost is still mostly air. The threshold lies half-way between the scores. A candidate whose two sides overlap gets
+    a wide, and therefore weak, vote.
     """
+    occupied = candidates.occupied[state]
+    mean = thickness.mean(dim=-1)
+    ends = [_gap(mean[:, box], occupied[:, box]) for box in range(mean.shape[1])]
+    middle = torch.tensor([math.sqrt(max(low, THINNEST) * max(high, THINNEST)) for low, high in ends])
+    gain = (1 / middle).clamp(max=1.0)
+    scores = line_scores(thickness, gain)
     threshold, width = [], []
     for box in range(scores.shape[1]):
-        on = candidates.occupied[state, box]
-        low = scores[~on, box].quantile(0.9) if bool((~on).any()) else torch.tensor(0.0)
-        high = scores[on, box].quantile(0.1) if bool(on.any()) else torch.tensor(1.0)
+        low, high = _gap(scores[:, box], occupied[:, box])
         threshold.append((low + high) / 2)
-        width.append((high - low).clamp(min=SMALLEST_WIDTH) if high > low else torch.tensor(1.0))
-    return Probe(candidates, torch.stack(threshold), torch.stack(width), min_confidence)
+        width.append(max(high - low, SMALLEST_WIDTH) if high > low else 1.0)
+    return Probe(candidates, gain, torch.tensor(threshold), torch.tensor(width), min_confidence)
+
+
+def _gap(values: Float[Tensor, " n"], on: Bool[Tensor, " n"]) -> tuple[float, float]:
+    """The upper end of a box's values without the actor (0 if never seen) and the lower end with it (1 if never)."""
+    low = float(values[~on].quantile(0.9)) if bool((~on).any()) else 0.0
+    high = float(values[on].quantile(0.1)) if bool(on.any()) else 1.0
+    return low, high

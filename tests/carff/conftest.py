@@ -127,7 +127,7 @@ class KnowingModel(CarffModel):
             "pcvae": KnowingPcvae(images, table.views),
             "nerf": KnowingNerf(images, table.views),
             "mdn": KnowingMdn(table.successor),
-            "probe": Probe(candidates, torch.full((boxes,), 0.5), torch.ones(boxes), 0.6),
+            "probe": Probe(candidates, torch.ones(boxes), torch.full((boxes,), 0.5), torch.ones(boxes), 0.6),
             "state_beliefs": Belief(torch.eye(len(table)), torch.full((len(table), len(table)), -12.0)),
             "costs": {name: {"seconds": 1.5, "peak_memory_mb": 100.0} for name in ("pcvae", "nerf", "mdn")},
             "images": images,

@@ -36,6 +36,22 @@ def test_the_last_state_is_its_own_future(tiny_evaluation):
         assert set(model.probe.classify(scores.flatten(0, 1)).tolist()) == expected
 
 
+def test_a_last_state_that_tells_nothing_about_the_hazard_leaves_it_to_the_forecast(tiny_evaluation, monkeypatch):
+    # Boxes: ego at t0, ego at t1, truck at t0, truck at t1. The ego is at its last place, the truck is half there.
+    model, views = tiny_evaluation.model, tiny_evaluation.views
+    half = torch.tensor([0.0, 1.0, 0.0, 0.5])
+    assert (
+        model.hazards(half[None])[1].item() and model.probe.agreed(half[None], torch.tensor([0, 1, 0, 1])).item() == 1
+    )
+    belief = views.belief.select((views.camera == 1) & (views.state == 0))
+    ahead = sample_next_scores(model, belief, 5, generator(), systematic=True)
+    monkeypatch.setattr("carff.decisions.sample_next_scores", lambda *_, **__: ahead)
+    monkeypatch.setattr(type(model), "probe_scores", lambda self, latents: half.expand(len(latents), -1))
+    assert torch.equal(sample_scores_ahead(model, belief, 5, generator()), ahead)
+    monkeypatch.setattr(type(model), "probe_scores", lambda self, latents: half.round().expand(len(latents), -1))
+    assert torch.equal(sample_scores_ahead(model, belief, 5, generator()), half.round().expand(1, 5, -1))
+
+
 def test_one_decision_per_picture(tiny_evaluation):
     table, images = tiny_evaluation.table, tiny_evaluation.data.images
     pictures = images[torch.stack([table.views[0, 1], table.views[2, 1], table.views[0, 0]])]

@@ -39,7 +39,7 @@ def density(points, latents):
 
 def probe() -> Probe:
     candidates = build_candidates([[box] for box in BOXES], ProbeConfig(columns=(2, 2), levels=3))
-    return Probe(candidates, torch.full((3,), 0.5), torch.full((3,), 0.5), 0.6)
+    return Probe(candidates, torch.ones(3), torch.full((3,), 0.5), torch.full((3,), 0.5), 0.6)
 
 
 def start(value: float) -> Belief:

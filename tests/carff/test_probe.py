@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from carff.probe import UNKNOWN, ProbeConfig, box_points, box_scores, build_candidates, calibrate
+from carff.probe import UNKNOWN, ProbeConfig, box_points, box_thickness, build_candidates, calibrate, line_scores
 from carff.states import ActorBox
 from hashnerf.errors import UserError
 
@@ -37,34 +37,55 @@ def test_points_lie_inside_the_turned_box():
 
 
 def test_scores_by_hand():
-    # A line of 4 points 0.4 m apart at density 3: thickness 4.8, and log(4.8 / 0.01) / log(100 / 0.01) = 0.67031.
+    # A line of 4 points 0.4 m apart at density 3 has thickness 4.8: 1 - exp(-4.8) = 0.99177, 1 - exp(-1.2) = 0.69881.
     candidates = build_candidates(STATES, CONFIG)
-    scores = box_scores(candidates, torch.tensor([[0.0], [2.0]]), density_of(STATES))
-    assert torch.allclose(scores, torch.tensor([[0.67031, 0.0], [0.0, 0.0]]), atol=1e-5)
+    thickness = box_thickness(candidates, torch.tensor([[0.0], [2.0]]), density_of(STATES))
+    assert thickness.shape == (2, 2, 6)
+    scores = line_scores(thickness, torch.tensor([1.0, 1.0]))
+    assert torch.allclose(scores, torch.tensor([[0.99177, 0.0], [0.0, 0.0]]), atol=1e-5)
+    assert line_scores(thickness, torch.tensor([0.25, 1.0]))[0, 0] == pytest.approx(0.69881, abs=1e-5)
 
 
-@pytest.mark.parametrize("density, score", [(0.0, 0.0), (1e-30, 0.0), (1e-3, 0.0), (1e3, 1.0), (1e30, 1.0)])
+@pytest.mark.parametrize("density, score", [(0.0, 0.0), (1e3, 1.0), (1e30, 1.0), (math.inf, 1.0)])
 def test_scores_are_bounded(density, score):
     candidates = build_candidates(STATES, CONFIG)
-    scores = box_scores(candidates, torch.zeros(1, 1), lambda points, latents: torch.full((1, len(points)), density))
-    assert torch.equal(scores, torch.full((1, 2), score))
+    thickness = box_thickness(
+        candidates, torch.zeros(1, 1), lambda points, latents: torch.full((1, len(points)), density)
+    )
+    assert torch.equal(line_scores(thickness, torch.ones(2)), torch.full((1, 2), score))
 
 
 def test_an_empty_box_full_of_fog_is_still_told_from_an_occupied_one():
     # thickness 6 without the actor and 30 with it: both let less than 0.3 % of the light through
     candidates = build_candidates(STATES, CONFIG)
     latents = torch.tensor([[0.0], [1.0], [2.0]]).repeat(10, 1)
-    scores = box_scores(candidates, latents, lambda points, rows: 3.75 + 5 * density_of(STATES)(points, rows))
-    probe = calibrate(candidates, scores, latents[:, 0].long(), 0.6)
-    assert torch.equal(probe.classify(scores), latents[:, 0].long())
+    thickness = box_thickness(candidates, latents, lambda points, rows: 3.75 + 5 * density_of(STATES)(points, rows))
+    probe = calibrate(candidates, thickness, latents[:, 0].long(), 0.6)
+    assert probe.gain[0] == pytest.approx(1 / (6 * 30) ** 0.5, rel=1e-4)
+    assert torch.equal(probe.classify(line_scores(thickness, probe.gain)), latents[:, 0].long())
+
+
+def test_a_faint_ghost_in_clean_air_is_no_actor():
+    # empty boxes of thickness 0.001 and occupied ones of 5: a tenth is nearer to 5 by its logarithm, but nine tenths
+    # of the light pass
+    candidates = build_candidates(STATES, CONFIG)
+    state = torch.tensor([0, 1, 2]).repeat(10)
+    thickness = torch.where(candidates.occupied[state], 5.0, 0.001)[..., None]
+    probe = calibrate(candidates, thickness, state, 0.6)
+    assert torch.equal(probe.gain, torch.ones(2))
+    assert probe.classify(line_scores(torch.tensor([[[0.1], [0.1]]]), probe.gain)).item() == 2
+
+
+def lines_of(opacity: torch.Tensor) -> torch.Tensor:
+    return -torch.log1p(-opacity.clamp(max=0.999))[..., None]
 
 
 def probe_of(noise: float = 0.0):
     candidates = build_candidates(STATES, CONFIG)
-    latents = torch.tensor([[0.0], [1.0], [2.0]]).repeat(30, 1)
-    scores = box_scores(candidates, latents, density_of(STATES))
-    scores = (scores * 0.8 + noise * torch.rand(scores.shape, generator=torch.Generator().manual_seed(0))).clamp(0, 1)
-    return calibrate(candidates, scores, latents[:, 0].long(), 0.6), scores, latents[:, 0].long()
+    state = torch.tensor([0, 1, 2]).repeat(30)
+    scores = candidates.occupied[state] * 0.8
+    scores = (scores + noise * torch.rand(scores.shape, generator=torch.Generator().manual_seed(0))).clamp(0, 0.999)
+    return calibrate(candidates, lines_of(scores), state, 0.6), scores, state
 
 
 def test_present_and_absent_are_told_apart_in_spite_of_noise():
@@ -86,7 +107,7 @@ def test_two_boxes_at_once_fit_no_state():
 def test_equal_states_share_their_probability():
     candidates = build_candidates([[NEAR], [NEAR], []], CONFIG)
     scores = torch.tensor([[0.9], [0.9], [0.1]]).repeat(10, 1)
-    probe = calibrate(candidates, scores, torch.tensor([0, 1, 2]).repeat(10), 0.6)
+    probe = calibrate(candidates, lines_of(scores), torch.tensor([0, 1, 2]).repeat(10), 0.6)
     # Two of the three states are the same situation: alone each has at most one half, together they are sure.
     assert probe.classify(torch.tensor([[0.9], [0.1]])).tolist() == [0, 2]
 
@@ -94,7 +115,7 @@ def test_equal_states_share_their_probability():
 def test_a_useless_candidate_has_a_weak_vote():
     candidates = build_candidates(STATES, CONFIG)
     scores = torch.rand(60, 2, generator=torch.Generator().manual_seed(0)) * 0.02
-    probe = calibrate(candidates, scores, torch.tensor([0, 1, 2]).repeat(20), 0.6)
+    probe = calibrate(candidates, lines_of(scores), torch.tensor([0, 1, 2]).repeat(20), 0.6)
     assert set(probe.classify(scores).tolist()) == {UNKNOWN}
 
 
