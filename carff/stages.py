@@ -32,6 +32,7 @@ from hashnerf.random_state import seed_everything
 
 CONFIG, SCENE = "config.yaml", "scene.json"
 BIRDS_EYE = "birds_eye"
+SETTLED_SHARE = 0.2  # of the first learning rates, when a trained field goes on
 
 
 def device_of(config: CarffConfig) -> torch.device:
@@ -111,7 +112,7 @@ def run_nerf(config: CarffConfig) -> None:
 def settled(config: NerfConfig) -> NerfConfig:
     """Returns the config by which a trained field goes on: small steps, fresh latents, all samples from the start."""
     fit = config.fit
-    small = {name: getattr(fit, name) * fit.final_share * 2 for name in ("learning_rate", "network_learning_rate")}
+    small = {name: getattr(fit, name) * SETTLED_SHARE for name in ("learning_rate", "network_learning_rate")}
     # few samples a ray would turn surfaces into fog again
     samples = config.march.samples_per_opacity
     further = replace(fit, **small, first_samples_per_opacity=samples, seed=fit.seed + 1)

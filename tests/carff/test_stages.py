@@ -71,7 +71,7 @@ def test_a_trained_field_goes_on_gently():
     fit = FitConfig(learning_rate=0.1, network_learning_rate=0.01, final_share=0.1, seed=3)
     config = NerfConfig(fit=fit, march=MarchSettings(samples_per_opacity=12.0))
     further = settled(config)
-    assert further.fit.learning_rate == pytest.approx(0.02), "twice what the first training ended with"
+    assert further.fit.learning_rate == pytest.approx(0.02)
     assert further.fit.network_learning_rate == pytest.approx(0.002)
     assert further.fit.first_samples_per_opacity == 12.0 and further.fit.seed == 4
     assert further.fresh_share(0) == 1.0 and further.field == config.field
