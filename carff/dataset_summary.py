@@ -21,7 +21,7 @@ def summarise(data: PosedImages, table: StateTable) -> list[str]:
         lines.append(f"{len(missing)} (branch, step, camera) without a picture: {shown}")
     if data.cameras.width % 32 or data.cameras.height % 32:
         lines.append(
-            "note: sides are no multiples of 32 pixels, which the conv encoder needs: crop, or use --image_size"
+            "note: sides are not multiples of 32 pixels, as the conv encoder needs: crop, or train with --image_size"
         )
     return lines + [f"note: {reason}" for reason in limits(table)]
 
@@ -33,7 +33,7 @@ def limits(table: StateTable) -> list[str]:
     if cameras == 0:
         reasons.append("no view has the split `train`: nothing can be trained")
     elif cameras < FEW_CAMERAS:
-        reasons.append(f"{cameras} cameras are few for a radiance field: expect shapes to be wrong, use dozens")
+        reasons.append(f"{cameras} training cameras, few for a radiance field: expect wrong shapes, use dozens")
     if not (table.successor >= 0).any():
         reasons.append("every branch has a single step: train_mdn.py will refuse, as a forecast needs two or more")
     if not any(table.actors):

@@ -1,8 +1,8 @@
 """From pictures to decisions: encode, forecast n next states, probe them, apply the planner's rule.
 
 A forecast knows no state beyond the last one of a branch: what it says there was never trained. A sampled present that
-is such a last state therefore stands for its own future, if it tells whether it is a hazard: a picture that fits
-several steps gives samples between them, half of each, that tell nothing. Decisions draw the n next scenes
+is such a last state therefore stands for its own future, if the probe can tell whether it is a hazard: a picture that
+fits several steps gives samples half-way between their states, where it cannot. Decisions draw the n next scenes
 systematically over the mixture's components: with independent draws, 10 futures of a hazard of probability 1/3 show
 none or one of it in 10 % of all cases, which is noise of the sampling and not knowledge.
 """

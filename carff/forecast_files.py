@@ -56,7 +56,7 @@ def forecast_image(
         "steps": [_step(model, states) for states in forecast.states],
     }
     if model.scene.hazard is not None:
-        # by the same path as in driving and in the evaluation
+        # by the same path as in the evaluation; driving adds what earlier pictures rule out
         generator = torch.Generator().manual_seed(seed)
         decision = decide_from_pictures(model, picture[None], model.config.planner, samples, generator)[0]
         document["decision"] = {"go": decision.go, "hazard_probability": decision.hazard_probability}

@@ -51,7 +51,7 @@ class NerfConfig:
     new_share: float = 0.5
     """Share of the rays of those steps, changed pixels apart, that go through the bird's-eye camera."""
     supersample: int = 1
-    """Rays per pixel along each axis when a picture is rendered: a pixel is the mean over an area."""
+    """Rays per pixel along each axis when a picture is rendered, as a pixel is the mean over an area; training: one."""
     save_every: int = 500
     """Steps between checkpoints."""
 

@@ -2,9 +2,9 @@
 
 Candidates are the actor boxes of the data set. A box is crossed by vertical lines of points; a line's optical
 thickness is sum sigma dz, and a box's *score* is the mean over its lines of 1 - exp(-gain thickness), a number in
-[0, 1] that no single line dominates. The gain is 1, which makes it the opacity, unless opacity is near 1 with and
-without the actor: colours cannot tell a road from fog of its own colour above it, so a box may be thick while it is
-empty, and thicker when it is not.
+[0, 1] that no single line dominates. With a gain of 1 it is the opacity. Opacity is near 1 with and without the actor
+where fog fills the empty box (colours cannot tell a road from fog of its own colour above it); a gain below 1 keeps the
+two apart.
 
 Gains and scores are calibrated per candidate on latents of known states: `threshold` lies between the scores with and
 without the actor, `width` is the room between them. The state whose set of occupied boxes fits best is the answer,
@@ -158,9 +158,9 @@ def calibrate(
     """Sets each candidate's gain and threshold from lines through scenes of known states.
 
     The gap is measured between the 10 % quantile of the occupied boxes and the 90 % quantile of the empty ones. The
-    gain makes the geometric mean of their thicknesses 1, where 1 - exp(-x) separates best, but is at most 1: a faint
-    ghost is still mostly air. The threshold lies half-way between the scores. A candidate whose two sides overlap gets
-    a wide, and therefore weak, vote.
+    gain makes the geometric mean of these two thicknesses 1, where 1 - exp(-x) separates best, but is at most 1: a
+    faint ghost is still mostly air. The threshold lies half-way between the scores. A candidate whose two sides overlap
+    gets a wide, and therefore weak, vote.
     """
     occupied = candidates.occupied[state]
     mean = thickness.mean(dim=-1)

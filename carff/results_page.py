@@ -4,7 +4,6 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from carff.evaluate_costs import WHOLE_RUN
 from carff.report_tables import number
 from carff.targets import TARGETS, lookup
 from hashnerf.errors import UserError
@@ -58,8 +57,6 @@ def _cell(report: dict, key: str, unit: str) -> str:
     value = number(lookup(report, key) if lookup(report, key) is not None else row["measured"], unit)
     if row["target"] is None:
         return f"{value} ({row['reason']})" if row.get("reason") else value
-    if key == "seconds_total" and report.get("seconds_cover", WHOLE_RUN) != WHOLE_RUN:
-        value += f" of {report['seconds_cover']}"
     sign = {">=": "≥", "<=": "≤", "==": "="}[row["comparison"]]
     verdict = "met" if row["met"] else "**missed**"
     return f"{value} ({verdict}, target {sign} {number(row['target'], unit)})"

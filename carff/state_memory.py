@@ -4,8 +4,8 @@ A network that reads single pictures can misread one, most easily between two st
 like a known state. What it read before, moved on by the learned forecast, tells which readings are possible now. A
 reading that was ruled out counts as *unknown*, so memory only ever adds caution: no hazard is taken away.
 
-    b <- (1 - a) b + a b T                      a = seconds passed / seconds per step, at most 1
-    ruled out: readings with less than RULED_OUT of b
+    b <- (1 - a) b + a b T                      a = seconds passed / seconds per step, at most 1/2
+    ruled out: readings whose share of b, pooled over the states with the same boxes, is below RULED_OUT
     b <- b (q + DOUBT) / sum, then LEAK of it spread evenly
 
 q is the mean posterior of the sampled readings, T the probability of each state's successors. DOUBT is large because
@@ -44,6 +44,8 @@ class StateMemory:
         self.transitions, self.step_seconds = transitions, step_seconds
         # states with the same boxes are one reading
         self.same = (occupied[:, None] == occupied[None]).all(dim=-1).float()
+        readings = len(occupied.unique(dim=0))
+        self.least = min(RULED_OUT, 0.1 / readings)
         self.belief = torch.full((len(transitions),), 1 / len(transitions))
         self.time: float | None = None
 
@@ -51,9 +53,10 @@ class StateMemory:
         """Takes in the sampled readings of the picture at `time` (seconds); returns which of them cannot be."""
         impossible = torch.zeros(len(posterior), dtype=torch.bool)
         if self.time is not None:
-            share = min(max(time - self.time, 0.0) / self.step_seconds, 1.0)
+            # half of a state stays whatever the time: an ego that waits must not forget what it goes on seeing
+            share = min(max(time - self.time, 0.0) / self.step_seconds, 0.5)
             self.belief = (1 - share) * self.belief + share * self.belief @ self.transitions
-            impossible = posterior @ (self.same @ self.belief) < RULED_OUT
+            impossible = posterior @ (self.same @ self.belief) < self.least
         self.time = time
         belief = self.belief * (posterior.mean(dim=0) + DOUBT)
         self.belief = (1 - LEAK) * belief / belief.sum() + LEAK / len(belief)

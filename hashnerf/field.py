@@ -2,11 +2,11 @@
 
 density(x, c) = exp(bounded(raw(x, c))), 1/m; rgb(x, d, c) in [0, 1]; x world metres, d unit direction, c a condition
 vector such as a scene latent. c enters both networks after the hash grid, which all conditions share (CARFF B.3).
+Conditions are given per sample ([s, c]), or as rows ([g, c]) with the row of every sample ([s]).
 
-The density is bounded by what makes a cell of the finest level opaque (`cell_thickness`). Beyond that no picture
+The density is softly bounded by what makes a cell of the finest level opaque (`cell_thickness`). Beyond that no picture
 changes, but training goes on raising it: the logarithm is interpolated between the grid's vertices, so a surface of a
 thousand per metre leaves fog where there should be air, and the samples of a ray jump from nothing to opaque.
-Conditions are given per sample ([s, c]), or as rows ([g, c]) with the row of every sample ([s]).
 """
 
 import math
@@ -54,7 +54,8 @@ class FieldConfig:
     initial_thickness: float = 3.0
     """Optical thickness of the box along its longest side before training."""
     cell_thickness: float = 4.0
-    """Greatest optical thickness across a cell of the finest level; 4 leaves 2 % of the light."""
+    """About the greatest optical thickness across a cell of the finest level (4 leaves 2 % of the light): beyond it the
+    logarithm of the density grows at a hundredth of the rate."""
     mlp_dtype: Literal["float32", "bfloat16"] = "float32"
     """Arithmetic of the networks; everything else stays float32."""
     compile: bool = False

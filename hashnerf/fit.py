@@ -32,7 +32,8 @@ class FitConfig:
     """How a radiance field is trained."""
 
     learning_rate: float = 0.1
-    """Adam's step at the start for the hash table and the background; a small one leaves fog for long."""
+    """Adam's step at the start for the hash table and the background. A small one leaves fog for long; a large one kept
+    up for thousands of steps brings it back (docs/results/notes.md)."""
     network_learning_rate: float = 0.006
     """Adam's step at the start for the networks; much larger ones are unstable."""
     final_share: float = 0.1
@@ -48,7 +49,7 @@ class FitConfig:
     batch_samples: int = 1 << 16
     """Samples a step should have: the number of rays adapts to it."""
     first_samples_per_opacity: float = 4.0
-    """`march.samples_per_opacity` of the first step; it grows geometrically to the march's own. While all is fog many
+    """`march.samples_per_opacity` of the first step; it changes geometrically to the march's own. While all is fog many
     rays teach more than many samples a ray. Too few make the fog last: a thin surface that is hit by chance gives noisy
     colours, a thick one does not (docs/results/notes.md). No effect with `march.samples` 0."""
     occupancy_every: int = 16

@@ -142,8 +142,9 @@ def check_extras(document: dict, views: list[tuple[int, int, int]]) -> list[str]
 
 
 def misspelled(entry: dict, known: tuple[str, ...]) -> list[str]:
-    """One line for each key that is almost a known one; other tools may write any other key, which is left alone."""
-    close = {key: difflib.get_close_matches(key.lower(), known, n=1, cutoff=0.85) for key in entry if key not in known}
+    """One line for each key that is almost a known one which is absent; keys of other tools are left alone."""
+    absent = [key for key in known if key not in entry]
+    close = {key: difflib.get_close_matches(key.lower(), absent, n=1, cutoff=0.85) for key in entry if key not in known}
     return [f"the key {key[:40]!r} is unknown; did you mean {match[0]!r}?" for key, match in close.items() if match]
 
 

@@ -27,7 +27,7 @@ def main() -> None:
     data = load_posed_images(Path(config.dataset))
     for line in summarise(data, build_state_table(data)):
         print(line)
-    if not len(data.split("train")):
+    if all(frame.split != "train" for frame in data.frames):
         raise UserError(f"{config.dataset}: nothing can be trained; give cameras the split `train`")
 
 

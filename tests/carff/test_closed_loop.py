@@ -20,6 +20,7 @@ from carff.closed_loop import (
 from carff.closed_loop_file import load_closed_loop
 from carff.driving import Drive, DrivingConfig, Setup, begin, can_stop, draw_setup, stop_matters
 from carff.planner import PlannerConfig, decide
+from carff.state_memory import StateMemory
 from hashnerf.errors import UserError
 from worlds.cube_cylinder import CubeCylinderConfig
 from worlds.dataset import world_description
@@ -167,6 +168,14 @@ def test_a_run_is_driven_with_every_policy_over_the_same_episodes(tiny_evaluatio
         return [decide(hazard, ~hazard & False, replace(planner, rule="paper")) for _ in pictures]
 
     monkeypatch.setattr(module, "decide_from_pictures", by_rule)
+    steps = set()
+
+    class Recording(StateMemory):
+        def __init__(self, transitions, occupied, step_seconds):
+            steps.add(step_seconds)
+            super().__init__(transitions, occupied, step_seconds)
+
+    monkeypatch.setattr(module, "StateMemory", Recording)
     folder = tiny_evaluation.config.folder
     brief = replace(CONFIG, longest=8.0)
     driven = drive_run(folder, 6, 3, brief, seed=1, workers=1)
@@ -174,6 +183,7 @@ def test_a_run_is_driven_with_every_policy_over_the_same_episodes(tiny_evaluatio
         name: [one for one in driven.episodes if one.policy == name] for name in {e.policy for e in driven.episodes}
     }
     assert set(episodes) == {"always_stop", "always_go", "oracle", "risk", "paper"}
+    assert steps == {WORLD.traffic.step_seconds}
     assert len({tuple((one.branch, one.hazard) for one in own) for own in episodes.values()}) == 1
     assert {one.branch for one in episodes["risk"]} == {0, 1}
     assert [one.collided for one in episodes["risk"]] == [one.hazard for one in episodes["risk"]]

@@ -10,13 +10,13 @@ def test_a_complete_data_set(tiny_data, tiny_table):
     assert summarise(tiny_data, tiny_table) == [
         "16 views of 4 states in 2 branches, 32 x 32 pixels",
         "cameras: 4 train, 0 val, 0 test",
-        "note: 4 cameras are few for a radiance field: expect shapes to be wrong, use dozens",
+        "note: 4 training cameras, few for a radiance field: expect wrong shapes, use dozens",
     ]
 
 
 def test_pictures_that_the_encoder_cannot_read_are_noted(tiny_data):
     cropped = replace(tiny_data, images=tiny_data.images[:, :, :20], cameras=tiny_data.cameras.scaled(20, 32))
-    assert any("no multiples of 32 pixels" in line for line in summarise(cropped, build_state_table(cropped)))
+    assert any("not multiples of 32 pixels" in line for line in summarise(cropped, build_state_table(cropped)))
 
 
 def test_missing_pictures_are_named(tiny_data):

@@ -69,13 +69,22 @@ def test_whole_processes_that_were_timed_count_instead(tiny_evaluation):
     timed = {
         "data set": {"seconds": 10.0, "peak_memory_mb": 1.0},
         "PC-VAE": {"seconds": 20.0, "peak_memory_mb": 2.0},
+        "radiance field": {"seconds": 3.0, "peak_memory_mb": 2.0},
+        "forecast": {"seconds": 4.0, "peak_memory_mb": 2.0},
         "evaluation": {"seconds": 99.0, "peak_memory_mb": 3.0},
     }
     (tiny_evaluation.config.folder / "timings.json").write_text(json.dumps({"stages": timed}))
     results = evaluate_costs(tiny_evaluation, 5.0).results
-    assert results["seconds_total"] == 35.0, "10 + 20 + 5; an earlier evaluation does not count"
+    assert results["seconds_total"] == 42.0, "10 + 20 + 3 + 4 + 5; an earlier evaluation does not count"
     assert results["seconds_cover"] == "whole run"
-    assert [stage["name"] for stage in results["stages"]] == ["data set", "PC-VAE", "evaluation"]
+    assert [stage["name"] for stage in results["stages"]] == [*timed]
+
+
+def test_a_run_that_was_finished_stage_by_stage_has_no_whole_time(tiny_evaluation):
+    timed = {name: {"seconds": 10.0, "peak_memory_mb": 1.0} for name in ("data set", "PC-VAE")}
+    (tiny_evaluation.config.folder / "timings.json").write_text(json.dumps({"stages": timed}))
+    results = evaluate_costs(tiny_evaluation, 2.0).results
+    assert results["seconds_cover"] == "trainings and evaluation only" and results["seconds_total"] == 6.5
 
 
 def test_an_earlier_evaluation_alone_is_no_timing_of_the_stages(tiny_evaluation):

@@ -52,16 +52,22 @@ def test_what_the_forecast_expects_is_possible():
     memory = memory_of(2, 8)
     assert memory.rule_out(0.0, ALL).tolist() == [True, True, False, True], "no time has passed"
     memory = memory_of(2, 8)
-    assert memory.rule_out(1.0, ALL).tolist() == [True, True, True, False], "a step later it is at its next place"
+    assert memory.rule_out(1.0, ALL).tolist() == [True, True, False, False], "or, a step later, at its next place"
     assert memory_of(0, 8).rule_out(0.0, ALL).tolist() == [False, False, True, True], "equal boxes are one reading"
 
 
-@pytest.mark.parametrize("time", [0.0, 1e-9, 1e9])
-def test_beliefs_stay_distributions(time):
+@pytest.mark.parametrize("tick", [0.0, 1e-9, 0.4, 1e9])
+def test_beliefs_stay_distributions_and_what_is_seen_again_and_again_stays_possible(tick):
     memory = memory_of(2, 3)
-    for _ in range(300):
-        memory.rule_out(time, torch.full((5, 4), 0.25))
+    for number in range(300):
+        assert not memory.rule_out(number * tick, reading(2, 5)).any()
     assert memory.belief.sum() == pytest.approx(1.0, abs=1e-5) and (memory.belief > 0).all()
+
+
+def test_many_states_are_not_ruled_out_for_being_many():
+    memory = StateMemory(torch.eye(100), torch.eye(100).bool(), 1.0)
+    nothing_learnt = torch.full((4, 100), 0.01)
+    assert not memory.rule_out(0.0, nothing_learnt).any() and not memory.rule_out(0.4, nothing_learnt).any()
 
 
 def test_two_possible_futures_stay_possible():

@@ -92,6 +92,12 @@ def test_what_was_not_run_is_not_judged_and_says_why():
     assert verdict.met is None and verdict.reason == "the data names no world"
 
 
+def test_a_part_of_the_run_is_not_judged_as_a_whole():
+    partial = _verdict({"seconds_total": 10.0, "seconds_cover": "trainings and evaluation only"}, "seconds_total")
+    assert partial.met is None and partial.measured == 10.0 and "trainings and evaluation only" in partial.reason
+    assert _verdict({"seconds_total": 10.0, "seconds_cover": "whole run"}, "seconds_total").met
+
+
 def test_balanced_is_never_easier_than_fast():
     for target in TARGETS:
         if target.fast is not None and target.key != "seconds_total":

@@ -265,10 +265,10 @@ def test_pictures_of_several_sizes_are_reported_without_stated_sizes(folder):
         (lambda d: d.update(frames=[]), "'frames' must be a list with at least one frame"),
         (lambda d: d.pop("frames"), "'frames' must be a list with at least one frame"),
         (lambda d: d.update(frames={"0": {}}), "'frames' must be a list with at least one frame"),
-        (lambda d: d.update(Cx=4.0), "the key 'Cx' is unknown; did you mean 'cx'?"),
+        (lambda d: d.update(Cx=d.pop("cx")), "the key 'Cx' is unknown; did you mean 'cx'?"),
         (lambda d: d["frames"][2].update(Camera_angle_x=1.0), "did you mean 'camera_angle_x'?"),
         (lambda d: d.update(branch_weight=[1.0, 1.0]), "'branch_weight' is unknown; did you mean 'branch_weights'?"),
-        (lambda d: d.update({"scene-box": 1}), "'scene-box' is unknown; did you mean 'scene_box'?"),
+        (lambda d: d.update({"scene-box": d.pop("scene_box")}), "'scene-box' is unknown; did you mean 'scene_box'?"),
         (lambda d: d["frames"].append("images/x.png"), "frame 6: must be an object with file_path"),
         (
             lambda d: d.update(fl_x=0),
@@ -290,6 +290,19 @@ def test_a_bad_document_is_named(folder, change, sentence):
     _edit(folder, change)
     (problem,) = _problems(folder)
     assert sentence in problem
+
+
+def test_keys_of_other_tools_load(folder):
+    def other_tools(document: dict) -> None:
+        document.update(aabb_scale=16, applied_transform=[], applied_scale=1.0, ply_file_path="x.ply", offset=[0, 0, 0])
+        document.update(n_frames=6, train_filenames=[], orientation_override="none", integer_depth_scale=0.001)
+        for frame in document["frames"]:
+            pose = frame["transform_matrix"]
+            frame.update(transform_matrix_start=pose, transform_matrix_end=pose, rolling_shutter=[0, 0, 0, 0])
+            frame.update(sharpness=30.0, colmap_im_id=3, mask_path="m.png", depth_file_path="d.png", time=0.5)
+
+    _edit(folder, other_tools)
+    assert len(load_posed_images(folder)) == 6
 
 
 def test_misspelled_frames_are_recognised(folder):

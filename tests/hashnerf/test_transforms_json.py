@@ -135,14 +135,6 @@ def test_a_complete_set_of_extras_has_no_problems():
 
 
 def test_keys_of_other_tools_are_left_alone():
-    others = {
-        "aabb_scale": 16,
-        "applied_transform": [],
-        "ply_file_path": "x.ply",
-        "camera_model": "OPENCV",
-        "offset": 1,
-    }
-    assert check_extras(others, VIEWS) == []
     frame = {"depth_file_path": "x", "mask_path": "y", "colmap_im_id": 3, "sharpness": 1.0}
     assert misspelled(frame, FRAME_KEYS) == []
     assert misspelled({"Split": "test"}, FRAME_KEYS) == ["the key 'Split' is unknown; did you mean 'split'?"]
