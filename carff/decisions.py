@@ -1,8 +1,9 @@
 """From pictures to decisions: encode, forecast n next states, probe them, apply the planner's rule.
 
-A forecast knows no state beyond the last one of a branch: what it says there was never trained. A sampled present that
-is such a last state therefore stands for its own future, if the probe can tell whether it is a hazard: a picture that
-fits several steps gives samples half-way between their states, where it cannot. Decisions draw the n next scenes
+A forecast knows no state beyond the last one of a branch: what it says there was never trained. Where most sampled
+presents of a picture are such last states, they therefore stand for their own future. A picture that fits several steps
+gives presents half-way between their states, in which the probe sees the ghosts of all; it is left to the forecast,
+which was trained on such pictures. Decisions draw the n next scenes
 systematically over the mixture's components: with independent draws, 10 futures of a hazard of probability 1/3 show
 none or one of it in 10 % of all cases, which is noise of the sampling and not knowledge.
 """
@@ -16,6 +17,7 @@ from torch import Tensor
 from carff.beliefs import Belief, sample_beliefs
 from carff.model import CarffModel
 from carff.planner import Decision, PlannerConfig, decide
+from carff.probe import UNKNOWN
 
 RuleOut = Callable[[int, Float[Tensor, "n states"]], Bool[Tensor, " n"]]
 
@@ -33,12 +35,13 @@ def sample_next_scores(
 def sample_scores_ahead(
     model: CarffModel, belief: Belief, n: int, generator: torch.Generator
 ) -> Float[Tensor, "beliefs {n} boxes"]:
-    """Returns how occupied every box is in `n` sampled scenes to decide by: next ones, or last present ones."""
+    """Returns how occupied every box is in `n` sampled scenes to decide by: next ones, or present ones at the end."""
     ahead = sample_next_scores(model, belief, n, generator, systematic=True)
     present = model.probe_scores(sample_beliefs(belief, n, generator).flatten(0, 1))
-    last = model.probe.agreed(present, (model.scene.successor < 0).long()) == 1
-    last &= ~model.hazards(present)[1]
-    return torch.where(last[:, None], present, ahead.flatten(0, 1)).reshape(ahead.shape)
+    states = model.probe.classify(present)
+    last = (states != UNKNOWN) & (model.scene.successor[states.clamp(min=0)] < 0)
+    ended = last.reshape(len(belief), n).float().mean(dim=1) > 0.5
+    return torch.where(ended[:, None, None], present.reshape(ahead.shape), ahead)
 
 
 def decide_from_pictures(

@@ -1,5 +1,6 @@
 """From pictures to decisions."""
 
+import pytest
 import torch
 
 from carff.beliefs import Belief
@@ -36,20 +37,19 @@ def test_the_last_state_is_its_own_future(tiny_evaluation):
         assert set(model.probe.classify(scores.flatten(0, 1)).tolist()) == expected
 
 
-def test_a_last_state_that_tells_nothing_about_the_hazard_leaves_it_to_the_forecast(tiny_evaluation, monkeypatch):
-    # Boxes: ego at t0, ego at t1, truck at t0, truck at t1. The ego is at its last place, the truck is half there.
+@pytest.mark.parametrize("last, stays", [(0, False), (2, False), (3, True), (5, True)])
+def test_a_picture_most_of_whose_presents_are_last_states_stands_for_its_own_future(
+    tiny_evaluation, monkeypatch, last, stays
+):
+    # Boxes: ego at t0, ego at t1, truck at t0, truck at t1. Five presents: the last state, or half of both steps.
     model, views = tiny_evaluation.model, tiny_evaluation.views
-    half = torch.tensor([0.0, 1.0, 0.0, 0.5])
-    assert (
-        model.hazards(half[None])[1].item() and model.probe.agreed(half[None], torch.tensor([0, 1, 0, 1])).item() == 1
-    )
+    present = torch.tensor([[0.0, 1.0, 0.0, 1.0]] * last + [[0.5, 0.5, 0.5, 0.5]] * (5 - last))
+    assert model.probe.classify(present).tolist() == [3] * last + [-1] * (5 - last)
     belief = views.belief.select((views.camera == 1) & (views.state == 0))
     ahead = sample_next_scores(model, belief, 5, generator(), systematic=True)
     monkeypatch.setattr("carff.decisions.sample_next_scores", lambda *_, **__: ahead)
-    monkeypatch.setattr(type(model), "probe_scores", lambda self, latents: half.expand(len(latents), -1))
-    assert torch.equal(sample_scores_ahead(model, belief, 5, generator()), ahead)
-    monkeypatch.setattr(type(model), "probe_scores", lambda self, latents: half.round().expand(len(latents), -1))
-    assert torch.equal(sample_scores_ahead(model, belief, 5, generator()), half.round().expand(1, 5, -1))
+    monkeypatch.setattr(type(model), "probe_scores", lambda self, latents: present)
+    assert torch.equal(sample_scores_ahead(model, belief, 5, generator()), present[None] if stays else ahead)
 
 
 def test_one_decision_per_picture(tiny_evaluation):
