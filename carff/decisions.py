@@ -9,6 +9,7 @@ none or one of it in 10 % of all cases, which is noise of the sampling and not k
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, UInt8
@@ -31,17 +32,26 @@ def sample_next_scores(
     return model.probe_scores(latents.flatten(0, 1)).reshape(len(belief), n, -1)
 
 
+@dataclass(frozen=True)
+class SampledScenes:
+    """How occupied every candidate box is in sampled scenes."""
+
+    present: Float[Tensor, "beliefs n boxes"]
+    """The scene that a belief is about."""
+    future: Float[Tensor, "beliefs n boxes"]
+    """What to decide by: the next scene, or the present one where it is the last."""
+
+
 @torch.no_grad()
-def sample_scores_ahead(
-    model: CarffModel, belief: Belief, n: int, generator: torch.Generator
-) -> Float[Tensor, "beliefs {n} boxes"]:
-    """Returns how occupied every box is in `n` sampled scenes to decide by: next ones, or present ones at the end."""
+def sample_scenes(model: CarffModel, belief: Belief, n: int, generator: torch.Generator) -> SampledScenes:
+    """Probes `n` sampled presents and futures of each belief."""
     ahead = sample_next_scores(model, belief, n, generator, systematic=True)
     present = model.probe_scores(sample_beliefs(belief, n, generator).flatten(0, 1))
     states = model.probe.classify(present)
     last = (states != UNKNOWN) & (model.scene.successor[states.clamp(min=0)] < 0)
     ended = last.reshape(len(belief), n).float().mean(dim=1) > 0.5
-    return torch.where(ended[:, None, None], present.reshape(ahead.shape), ahead)
+    present = present.reshape(ahead.shape)
+    return SampledScenes(present, torch.where(ended[:, None, None], present, ahead))
 
 
 def decide_from_pictures(
@@ -54,13 +64,14 @@ def decide_from_pictures(
 ) -> list[Decision]:
     """Returns one decision per picture, each from `n` sampled futures of its own.
 
-    `rule_out` tells from a picture's number and the state posteriors of its futures which of them cannot be; those that
-    are no hazards count as unknown.
+    `rule_out` tells from a picture's number and the state posteriors of its sampled presents which of them cannot be;
+    as many of its futures, those that are no hazards, count as unknown.
     """
     decisions = []
-    for number, scores in enumerate(sample_scores_ahead(model, model.encode(pictures), n, generator)):
-        hazard, unknown = model.hazards(scores)
+    scenes = sample_scenes(model, model.encode(pictures), n, generator)
+    for number, (present, future) in enumerate(zip(scenes.present, scenes.future)):
+        hazard, unknown = model.hazards(future)
         if rule_out is not None:
-            unknown |= rule_out(number, model.probe.state_posterior(scores)) & ~hazard
+            unknown |= rule_out(number, model.probe.state_posterior(present)) & ~hazard
         decisions.append(decide(hazard, unknown, planner))
     return decisions

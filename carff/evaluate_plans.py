@@ -18,7 +18,7 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 from carff.charts import planning_chart
-from carff.decisions import decide_from_pictures, sample_scores_ahead
+from carff.decisions import decide_from_pictures, sample_scenes
 from carff.evaluate_probe import evidence_px
 from carff.evaluation_data import EvaluationData, Part, Views
 from carff.figure_style import png_bytes
@@ -134,8 +134,8 @@ def trial_decisions(
     belief = evaluation.views.belief.select(pictures.view.repeat_interleave(trials))
     decisions = {}
     for n in SAMPLES:
-        scores = sample_scores_ahead(evaluation.model, belief, n, evaluation.generator(11))
-        flags = evaluation.model.hazards(scores.flatten(0, 1))
+        future = sample_scenes(evaluation.model, belief, n, evaluation.generator(11)).future
+        flags = evaluation.model.hazards(future.flatten(0, 1))
         hazard, unknown = (flag.reshape(-1, n) for flag in flags)
         for rule in RULES:
             planner = replace(evaluation.model.config.planner, rule=rule)

@@ -1,15 +1,17 @@
-"""What earlier pictures rule out: a belief over the states one step ahead, carried from picture to picture.
+"""What earlier pictures rule out: a belief over the present state, carried from picture to picture.
 
 A network that reads single pictures can misread one, most easily between two steps of the data, where nothing looks
-like a known state. What it read before, moved on by the learned forecast, tells which readings are possible now. A
-reading that was ruled out counts as *unknown*, so memory only ever adds caution: no hazard is taken away.
+like a known state. What it read before, moved on by the learned forecast, tells which readings are possible now. The
+futures of a reading that was ruled out count as *unknown*, so memory only ever adds caution: no hazard is taken away.
 
-    b <- (1 - a) b + a b T                      a = seconds passed / seconds per step, at most 1/2
+    b <- (1 - a) b + a b T                    a = seconds passed / seconds per step, at most 1/2
     ruled out: readings whose share of b, pooled over the states with the same boxes, is below RULED_OUT
-    b <- b (q + DOUBT) / sum, then LEAK of it spread evenly
+    b <- (b (q + DOUBT) / sum + q) / 2        or (1 - w) b + w q where most readings were ruled out
 
-q is the mean posterior of the sampled readings, T the probability of each state's successors. DOUBT is large because
-successive pictures err alike: after two or three contradicting pictures the memory gives way.
+q is the mean posterior of a picture's sampled readings (b of the first picture), T the probability of each state's
+successors, w = TRUST_IN_CONTRADICTION. Half of the new belief is Bayes' rule: two clear pictures settle it. Half is the
+picture alone: successive pictures err alike, and a view that leaves two states open must leave them open however often
+it is seen. About three contradicting pictures are needed until the memory gives way.
 """
 
 import torch
@@ -18,9 +20,9 @@ from torch import Tensor
 
 from carff.model import CarffModel
 
-RULED_OUT = 0.02
-DOUBT = 0.5
-LEAK = 0.005
+RULED_OUT = 0.1
+DOUBT = 0.05
+TRUST_IN_CONTRADICTION = 0.05
 DRAWS = 64
 
 
@@ -45,19 +47,24 @@ class StateMemory:
         # states with the same boxes are one reading
         self.same = (occupied[:, None] == occupied[None]).all(dim=-1).float()
         readings = len(occupied.unique(dim=0))
-        self.least = min(RULED_OUT, 0.1 / readings)
+        self.least = min(RULED_OUT, 0.5 / readings)
         self.belief = torch.full((len(transitions),), 1 / len(transitions))
         self.time: float | None = None
 
     def rule_out(self, time: float, posterior: Float[Tensor, "n states"]) -> Bool[Tensor, " n"]:
         """Takes in the sampled readings of the picture at `time` (seconds); returns which of them cannot be."""
-        impossible = torch.zeros(len(posterior), dtype=torch.bool)
-        if self.time is not None:
-            # half of a state stays whatever the time: an ego that waits must not forget what it goes on seeing
-            share = min(max(time - self.time, 0.0) / self.step_seconds, 0.5)
-            self.belief = (1 - share) * self.belief + share * self.belief @ self.transitions
-            impossible = posterior @ (self.same @ self.belief) < self.least
+        reading = posterior.mean(dim=0)
+        if self.time is None:
+            self.belief, self.time = reading, time
+            return torch.zeros(len(posterior), dtype=torch.bool)
+        # half of a state stays whatever the time: an ego that waits must not forget what it goes on seeing
+        share = min(max(time - self.time, 0.0) / self.step_seconds, 0.5)
+        moved = (1 - share) * self.belief + share * self.belief @ self.transitions
+        impossible = posterior @ (self.same @ moved) < self.least
         self.time = time
-        belief = self.belief * (posterior.mean(dim=0) + DOUBT)
-        self.belief = (1 - LEAK) * belief / belief.sum() + LEAK / len(belief)
+        if impossible.float().mean() > 0.5:
+            self.belief = (1 - TRUST_IN_CONTRADICTION) * moved + TRUST_IN_CONTRADICTION * reading
+        else:
+            product = moved * (reading + DOUBT)
+            self.belief = (product / product.sum() + reading) / 2
         return impossible

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from carff.beliefs import Belief
-from carff.decisions import decide_from_pictures, sample_next_scores, sample_scores_ahead
+from carff.decisions import decide_from_pictures, sample_next_scores, sample_scenes
 from carff.planner import PlannerConfig
 
 
@@ -32,7 +32,7 @@ def test_the_last_state_is_its_own_future(tiny_evaluation):
     views, model = tiny_evaluation.views, tiny_evaluation.model
     for state, expected in ((0, {1}), (1, {1}), (2, {3}), (3, {3})):
         belief = views.belief.select((views.camera == 1) & (views.state == state))
-        scores = sample_scores_ahead(model, belief, 20, generator())
+        scores = sample_scenes(model, belief, 20, generator()).future
         assert scores.shape[:2] == (1, 20)
         assert set(model.probe.classify(scores.flatten(0, 1)).tolist()) == expected
 
@@ -49,7 +49,9 @@ def test_a_picture_most_of_whose_presents_are_last_states_stands_for_its_own_fut
     ahead = sample_next_scores(model, belief, 5, generator(), systematic=True)
     monkeypatch.setattr("carff.decisions.sample_next_scores", lambda *_, **__: ahead)
     monkeypatch.setattr(type(model), "probe_scores", lambda self, latents: present)
-    assert torch.equal(sample_scores_ahead(model, belief, 5, generator()), present[None] if stays else ahead)
+    scenes = sample_scenes(model, belief, 5, generator())
+    assert torch.equal(scenes.future, present[None] if stays else ahead)
+    assert torch.equal(scenes.present, present[None])
 
 
 def test_one_decision_per_picture(tiny_evaluation):
