@@ -65,7 +65,7 @@ def decide_from_pictures(
     """Returns one decision per picture, each from `n` sampled futures of its own.
 
     `rule_out` tells from a picture's number and the state posteriors of its sampled presents which of them cannot be;
-    as many of its futures, those that are no hazards, count as unknown.
+    the futures drawn beside those count as unknown, unless they are hazards.
     """
     decisions = []
     scenes = sample_scenes(model, model.encode(pictures), n, generator)

@@ -60,7 +60,7 @@ def trained_stages(evaluation: EvaluationData) -> dict[str, dict]:
     costs = evaluation.model.costs
     stages = {"PC-VAE": costs["pcvae"]}
     if (evaluation.config.folder / "nerf_birds_eye").is_dir():
-        _, held_out = load_nerf(evaluation.config, evaluation.model.scene, held_out=True)
+        _, held_out = load_nerf(evaluation.model.config, evaluation.model.scene, held_out=True)
         stages |= {"radiance field": held_out, "radiance field, with bird's-eye camera": costs["nerf"]}
     else:
         stages["radiance field"] = costs["nerf"]

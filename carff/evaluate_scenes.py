@@ -46,7 +46,7 @@ def evaluate_scenes(evaluation: EvaluationData) -> Part:
     results: dict = {"camera": camera, "camera_kind": evaluation.table.camera_kinds[camera], "states": len(shown)}
     figures: dict[str, bytes] = {}
     reasons = {}
-    columns = {"_heldout": load_nerf(evaluation.config, evaluation.model.scene, held_out=True)[0]}
+    columns = {"_heldout": load_nerf(evaluation.model.config, evaluation.model.scene, held_out=True)[0]}
     if trained_on(evaluation, camera):
         columns[""] = evaluation.model.nerf
     else:

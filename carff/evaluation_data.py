@@ -20,6 +20,7 @@ from carff.config import CarffConfig
 from carff.figure_style import StateStyle, state_style
 from carff.model import CarffModel, load_carff
 from carff.states import StateTable, ambiguous_groups, build_state_table
+from hashnerf.command_line import config_changes, plain_config
 from hashnerf.errors import UserError
 from hashnerf.posed_images import PosedImages, load_posed_images
 
@@ -27,6 +28,7 @@ EGO = "ego"
 WHOLLY_VISIBLE = 0.95  # share of an actor's pixels from which a view counts as showing all of it
 NONE, PARTIAL, FULL, UNSTATED = 0, 1, 2, -1  # the first three index forecast_metrics.VISIBILITY_CLASSES
 MISSING_GREY = 200
+FROM_THE_RUN = ("pcvae", "nerf", "mdn", "probe", "planner")  # parts of the config that a report cannot change
 
 
 @dataclass(frozen=True)
@@ -112,6 +114,13 @@ class EvaluationData:
 def load_evaluation_data(config: CarffConfig) -> EvaluationData:
     """Loads the run and its data set; raises UserError when a stage is missing or the data is not what it learned."""
     model = load_carff(config.folder)
+    made, asked = ({key: plain_config(one)[key] for key in FROM_THE_RUN} for one in (model.config, config))
+    changes = config_changes(made, asked)
+    if changes:
+        raise UserError(
+            f"{config.folder}: these settings are the trained run's and cannot be changed here ({'; '.join(changes)}); "
+            "give the --config and the settings that it was trained with"
+        )
     data = load_posed_images(Path(config.dataset), config.image_size or None)
     table = build_state_table(data)
     cameras = model.scene.cameras

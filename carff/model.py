@@ -1,6 +1,6 @@
 """A trained CARFF run, ready to look, forecast and decide; loads from a run folder alone."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -70,9 +70,7 @@ def load_carff(folder: Path) -> CarffModel:
     """Loads a finished run; raises UserError naming the stage that is missing."""
     if not (folder / CONFIG).is_file():
         raise UserError(f"{folder}: not a run folder (no {CONFIG}); train one first with scripts/train_pcvae.py")
-    saved = load_config(CarffConfig, folder / CONFIG)
-    # The folder may have been moved or renamed since it was written.
-    config = CarffConfig(**{**vars(saved), "runs": str(folder.parent), "name": folder.name})
+    config = trained_config(folder)
     scene = load_scene_info(folder / SCENE)
     costs = {}
     pcvae, costs["pcvae"] = load_pcvae(config, scene)
@@ -81,6 +79,19 @@ def load_carff(folder: Path) -> CarffModel:
     mdn, costs["mdn"] = load_model(folder / "mdn", lambda _: build_mdn(config.mdn, latent_size), "scripts/train_mdn.py")
     probe = calibrated_probe(config.probe, scene, nerf, config.seed)
     return CarffModel(config, scene, pcvae, nerf, mdn.eval(), probe, nerf.bank.state_beliefs(), costs)
+
+
+def trained_config(folder: Path) -> CarffConfig:
+    """Returns the config of a run folder, with every stage's part as that stage was trained.
+
+    The run's own config is that of the stage which was called last, perhaps with other settings for the earlier ones.
+    """
+    parts = {}
+    for stage in ("pcvae", "nerf", "mdn"):
+        if (folder / stage / CONFIG).is_file():
+            parts[stage] = getattr(load_config(CarffConfig, folder / stage / CONFIG), stage)
+    # The folder may have been moved or renamed since it was written.
+    return replace(load_config(CarffConfig, folder / CONFIG), runs=str(folder.parent), name=folder.name, **parts)
 
 
 def load_nerf(config: CarffConfig, scene: SceneInfo, held_out: bool = False) -> tuple[LatentNerf, dict]:

@@ -161,7 +161,11 @@ def calibrate(
     gain makes the geometric mean of these two thicknesses 1, where 1 - exp(-x) separates best, but is at most 1: a
     faint ghost is still mostly air. The threshold lies half-way between the scores. A candidate whose two sides overlap
     gets a wide, and therefore weak, vote.
+
+    Raises UserError for a thickness that is not finite.
     """
+    if not thickness.isfinite().all():
+        raise UserError("the field's density is not finite: train it again with a lower nerf.fit.learning_rate")
     occupied = candidates.occupied[state]
     mean = thickness.mean(dim=-1)
     ends = [_gap(mean[:, box], occupied[:, box]) for box in range(mean.shape[1])]

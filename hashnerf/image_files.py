@@ -42,8 +42,8 @@ def resolve_inside(folder: Path, name: object, extensions: tuple[str, ...] = ())
                 return path
         if candidates[0].exists():
             raise UserError(f"{name!r} is not a regular file")
-    except (OSError, RuntimeError) as error:  # RuntimeError: a loop of symbolic links
-        raise UserError(f"the path {name[:80]!r} cannot be resolved ({error})") from error
+    except (OSError, RuntimeError, UnicodeError) as error:  # a loop of symbolic links; a lone surrogate
+        raise UserError(f"the path {name[:80]!a} cannot be resolved ({error})") from error
     tried = f" (also tried {', '.join(extensions)})" if extensions else ""
     raise UserError(f"{name!r} does not exist{tried}")
 

@@ -144,8 +144,14 @@ def check_extras(document: dict, views: list[tuple[int, int, int]]) -> list[str]
 def misspelled(entry: dict, known: tuple[str, ...]) -> list[str]:
     """One line for each key that is almost a known one which is absent; keys of other tools are left alone."""
     absent = [key for key in known if key not in entry]
-    close = {key: difflib.get_close_matches(key.lower(), absent, n=1, cutoff=0.85) for key in entry if key not in known}
+    close = {key: _almost(key.lower(), absent) for key in entry if key not in known}
     return [f"the key {key[:40]!r} is unknown; did you mean {match[0]!r}?" for key, match in close.items() if match]
+
+
+def _almost(key: str, known: list[str]) -> list[str]:
+    # letters in another order are a slip in short keys, too, where one wrong letter may be another tool's word
+    swapped = [word for word in known if sorted(word) == sorted(key)]
+    return swapped or difflib.get_close_matches(key, known, n=1, cutoff=0.85)
 
 
 def _scene_box(document: dict, views: list[tuple[int, int, int]]) -> Iterator[str]:

@@ -21,6 +21,7 @@ from carff.model import load_carff
 from carff.planning_metrics import closed_loop_results
 from carff.report_tables import closed_loop_tables
 from hashnerf.command_line import parse_config, run_main, set_threads
+from hashnerf.errors import UserError
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,11 @@ class PlanConfig(CarffConfig):
     """Port of the CARLA server."""
     carla: CarlaConfig = field(default_factory=CarlaConfig)
     """The camera in the CARLA server."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.samples < 1:
+            raise UserError(f"samples is {self.samples}; give at least 1 sampled future per decision")
 
 
 def main() -> None:

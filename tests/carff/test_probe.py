@@ -134,3 +134,12 @@ def test_states_that_differ_in_what_does_not_matter_agree():
     assert probe.classify(both).tolist() == [UNKNOWN]
     assert probe.agreed(both, labels).tolist() == [1]
     assert probe.agreed(both, torch.tensor([0, 1, 0])).tolist() == [UNKNOWN]
+
+
+@pytest.mark.parametrize("broken", [math.nan, math.inf])
+def test_a_field_that_broke_down_is_a_sentence(broken):
+    candidates = build_candidates(STATES, CONFIG)
+    thickness = torch.ones(3, 2, 6)
+    thickness[1, 0, 2] = broken
+    with pytest.raises(UserError, match="density is not finite: train it again"):
+        calibrate(candidates, thickness, torch.tensor([0, 1, 2]), 0.6)

@@ -168,6 +168,17 @@ def test_report_holds_every_figure(place, trained):
     assert (trained / "report.html").stat().st_size > 100_000
 
 
+def test_a_report_is_about_the_run_as_it_was_trained(place, trained):
+    command = ("scripts/evaluate_carff.py", "--config", str(place / "tiny.yaml"))
+    output = run(*command, "--nerf.supersample", "3", "--planner.stop_cost", "2", expect=2)
+    assert "nerf.supersample: 1 -> 3" in output and "planner.stop_cost: 1.0 -> 2.0" in output
+
+
+def test_a_decision_needs_a_sampled_future(place, trained):
+    output = run("scripts/plan_carla.py", "--run", str(trained), "--samples", "0", expect=2)
+    assert "samples is 0; give at least 1" in output
+
+
 def test_ending_before_training_names_the_script_to_run(place):
     output = run("scripts/train_nerf.py", "--config", str(place / "tiny.yaml"), "--name", "nothing", expect=2)
     assert "train_pcvae.py first" in output

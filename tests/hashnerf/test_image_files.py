@@ -184,6 +184,7 @@ def test_names_inside_the_folder_are_found(folder, name, target):
         ("../secret.png", "'../secret.png' leaves the data folder"),
         ("images/../../secret.png", "leaves the data folder"),
         ("/etc/passwd", "'/etc/passwd' leaves the data folder"),
+        ("\ud800.png", "cannot be resolved"),
         ("out.png", "'out.png' leaves the data folder"),
         ("..\\secret.png", "a NUL or a backslash"),
         ("a\0b.png", "a NUL or a backslash"),

@@ -138,6 +138,8 @@ def test_keys_of_other_tools_are_left_alone():
     frame = {"depth_file_path": "x", "mask_path": "y", "colmap_im_id": 3, "sharpness": 1.0}
     assert misspelled(frame, FRAME_KEYS) == []
     assert misspelled({"Split": "test"}, FRAME_KEYS) == ["the key 'Split' is unknown; did you mean 'split'?"]
+    for slip, meant in (("spilt", "split"), ("setp", "step"), ("barnch", "branch"), ("camrea", "camera")):
+        assert misspelled({slip: 0}, FRAME_KEYS) == [f"the key {slip!r} is unknown; did you mean {meant!r}?"]
     assert misspelled({"brnch": 1, "splits": "train"}, FRAME_KEYS) == [
         "the key 'brnch' is unknown; did you mean 'branch'?",
         "the key 'splits' is unknown; did you mean 'split'?",
