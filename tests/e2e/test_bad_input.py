@@ -113,7 +113,8 @@ def test_a_data_set_is_checked_without_training(data):
     write(data, {**document, "frames": [{**frame, "split": "test"} for frame in document["frames"]]})
     untrainable = check()
     assert untrainable.returncode == 2 and "nothing can be trained" in untrainable.stderr
-    document["frames"][0]["brnch"] = document["frames"][1]["brnch"] = 0
+    for frame in document["frames"][:2]:
+        frame["brnch"] = frame.pop("branch")
     write(data, document)
     bad = check()
     assert bad.returncode == 2 and "did you mean 'branch'? (the same in 1 other frames)" in bad.stderr
