@@ -71,9 +71,9 @@ class SeeingPolicy:
 
     def __call__(self, drives: list[Drive], numbers: list[int]) -> list[bool]:
         """Returns go or stop for each drive."""
-        occupied = self.model.probe.candidates.occupied
+        same = self.model.probe.candidates.same
         for number in numbers:
-            self.memories.setdefault(number, StateMemory(self.transitions, occupied, self.step_seconds))
+            self.memories.setdefault(number, StateMemory(self.transitions, same, self.step_seconds))
 
         def rule_out(place: int, posterior: Tensor) -> Tensor:
             return self.memories[numbers[place]].rule_out(drives[place].time, posterior)

@@ -1,5 +1,6 @@
 """What a data set holds, and which parts of the pipeline it is enough for, in words: read before training on it."""
 
+from carff.encoders import SIDE_MULTIPLE
 from carff.states import StateTable
 from hashnerf.posed_images import SPLITS, PosedImages, missing_views
 
@@ -19,10 +20,9 @@ def summarise(data: PosedImages, table: StateTable) -> list[str]:
     if missing:
         shown = ", ".join(map(str, missing[:3])) + (", ..." if len(missing) > 3 else "")
         lines.append(f"{len(missing)} (branch, step, camera) without a picture: {shown}")
-    if data.cameras.width % 32 or data.cameras.height % 32:
-        lines.append(
-            "note: sides are not multiples of 32 pixels, as the conv encoder needs: crop, or train with --image_size"
-        )
+    if data.cameras.width % SIDE_MULTIPLE or data.cameras.height % SIDE_MULTIPLE:
+        needed = f"sides are not multiples of {SIDE_MULTIPLE} pixels, as the conv encoder needs"
+        lines.append(f"note: {needed}: crop, or train with --image_size")
     return lines + [f"note: {reason}" for reason in limits(table)]
 
 

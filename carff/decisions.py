@@ -3,9 +3,9 @@
 A forecast knows no state beyond the last one of a branch: what it says there was never trained. Where most sampled
 presents of a picture are such last states, they therefore stand for their own future. A picture that fits several steps
 gives presents half-way between their states, in which the probe sees the ghosts of all; it is left to the forecast,
-which was trained on such pictures. Decisions draw the n next scenes
-systematically over the mixture's components: with independent draws, 10 futures of a hazard of probability 1/3 show
-none or one of it in 10 % of all cases, which is noise of the sampling and not knowledge.
+which was trained on such pictures. Decisions draw the n next scenes systematically over the mixture's components: with
+independent draws, 10 futures of a hazard of probability 1/3 show none or one of it in 10 % of all cases, which is noise
+of the sampling and not knowledge.
 """
 
 from collections.abc import Callable

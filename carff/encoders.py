@@ -17,6 +17,7 @@ from hashnerf.errors import UserError
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
+SIDE_MULTIPLE = 32  # pixels: the convolutional encoder halves a picture five times
 
 
 @dataclass(frozen=True)
@@ -68,10 +69,10 @@ class ConvEncoder(nn.Module):
 
     def __init__(self, config: EncoderConfig, latent_size: int, height: int, width: int):
         super().__init__()
-        if height % 32 or width % 32:
+        if height % SIDE_MULTIPLE or width % SIDE_MULTIPLE:
             raise UserError(
-                f"the conv encoder needs pictures whose sides are multiples of 32, not {width} x {height}: "
-                "crop them, or give an image_size (a width) that makes both so"
+                f"the conv encoder needs pictures whose sides are multiples of {SIDE_MULTIPLE}, not {width} x {height}"
+                ": crop them, or give an image_size (a width) that makes both so"
             )
         self.augment = config.augment
         w = config.width

@@ -95,8 +95,7 @@ class EvaluationData:
     def branch_share(self) -> Float[Tensor, "states branches"]:
         """How much a probed state speaks for each branch: states with the same boxes share it by their weights."""
         branch = torch.nn.functional.one_hot(self.table.branch, len(self.table.branch_names)).float()
-        same = (self.same_boxes[:, None] == self.same_boxes[None]).float()
-        shared = same @ (branch * self.table.branch_weight)
+        shared = self.model.probe.candidates.same.float() @ (branch * self.table.branch_weight)
         return shared / shared.sum(dim=1, keepdim=True)
 
     def pictures_at(self, camera: int) -> UInt8[np.ndarray, "states h w 3"]:

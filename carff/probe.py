@@ -59,6 +59,11 @@ class Candidates:
     names: tuple[str, ...]
     occupied: Bool[Tensor, "states boxes"]
 
+    @property
+    def same(self) -> Bool[Tensor, "states states"]:
+        """Which states occupy the same boxes: to the probe they are one."""
+        return (self.occupied[:, None] == self.occupied[None]).all(dim=-1)
+
 
 @dataclass(frozen=True)
 class Probe:
@@ -85,8 +90,7 @@ class Probe:
 
     def classify(self, scores: Float[Tensor, "n boxes"]) -> Int[Tensor, " n"]:
         """Returns the state of each row of scores, or UNKNOWN; equal states answer with the first of them."""
-        occupied = self.candidates.occupied
-        return self.agreed(scores, (occupied[:, None] == occupied[None]).all(dim=-1).float().argmax(dim=1))
+        return self.agreed(scores, self.candidates.same.float().argmax(dim=1))
 
     def agreed(self, scores: Float[Tensor, "n boxes"], label: Int[Tensor, " states"]) -> Int[Tensor, " n"]:
         """Returns the label (0, 1, ...) that the states which fit each row of scores agree on, or UNKNOWN.

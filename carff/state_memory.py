@@ -41,13 +41,11 @@ class StateMemory:
     """The belief of one drive; nothing is known before the first picture."""
 
     def __init__(
-        self, transitions: Float[Tensor, "states states"], occupied: Bool[Tensor, "states boxes"], step_seconds: float
+        self, transitions: Float[Tensor, "states states"], same: Bool[Tensor, "states states"], step_seconds: float
     ):
-        self.transitions, self.step_seconds = transitions, step_seconds
-        # states with the same boxes are one reading
-        self.same = (occupied[:, None] == occupied[None]).all(dim=-1).float()
-        readings = len(occupied.unique(dim=0))
-        self.least = min(RULED_OUT, 0.5 / readings)
+        """`same` tells which states have the same boxes: they are one reading."""
+        self.transitions, self.same, self.step_seconds = transitions, same.float(), step_seconds
+        self.least = min(RULED_OUT, 0.5 / len(same.unique(dim=0)))
         self.belief = torch.full((len(transitions),), 1 / len(transitions))
         self.time: float | None = None
 

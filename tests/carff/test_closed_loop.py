@@ -171,9 +171,9 @@ def test_a_run_is_driven_with_every_policy_over_the_same_episodes(tiny_evaluatio
     steps = set()
 
     class Recording(StateMemory):
-        def __init__(self, transitions, occupied, step_seconds):
+        def __init__(self, transitions, same, step_seconds):
             steps.add(step_seconds)
-            super().__init__(transitions, occupied, step_seconds)
+            super().__init__(transitions, same, step_seconds)
 
     monkeypatch.setattr(module, "StateMemory", Recording)
     folder = tiny_evaluation.config.folder

@@ -8,7 +8,7 @@ from carff.planner import PlannerConfig
 from carff.state_memory import DOUBT, TRUST_IN_CONTRADICTION, StateMemory, state_transitions
 
 # 0 -> 1 (clear), 2 -> 3 (truck); the boxes of the ego are left out: 0 and 1 are one reading
-OCCUPIED = torch.tensor([[False, False], [False, False], [True, False], [False, True]])
+SAME = torch.tensor([[1, 1, 0, 0], [1, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]).bool()
 TRANSITIONS = torch.tensor([[0.0, 1, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1], [0, 0, 0, 1]])
 ALL = torch.eye(4)
 
@@ -18,20 +18,20 @@ def reading(state: int, samples: int = 1) -> torch.Tensor:
 
 
 def memory_of(state: int, pictures: int, step_seconds: float = 1.0) -> StateMemory:
-    memory = StateMemory(TRANSITIONS, OCCUPIED, step_seconds)
+    memory = StateMemory(TRANSITIONS, SAME, step_seconds)
     for _ in range(pictures):
         memory.rule_out(0.0, reading(state))
     return memory
 
 
 def test_the_first_picture_rules_nothing_out():
-    memory = StateMemory(TRANSITIONS, OCCUPIED, 1.0)
+    memory = StateMemory(TRANSITIONS, SAME, 1.0)
     assert not memory.rule_out(0.0, ALL).any()
     assert torch.allclose(memory.belief, torch.full((4,), 0.25))
 
 
 def test_the_belief_by_hand():
-    memory = StateMemory(TRANSITIONS, OCCUPIED, 4.0)
+    memory = StateMemory(TRANSITIONS, SAME, 4.0)
     memory.rule_out(0.0, reading(2))
     # A quarter of a step later 3/4 are still in state 2 and 1/4 has gone on to 3.
     memory.rule_out(1.0, reading(3))
@@ -71,7 +71,7 @@ def test_many_states_are_not_ruled_out_for_being_many():
 
 
 def test_two_possible_futures_stay_possible():
-    memory = StateMemory(TRANSITIONS, OCCUPIED, 1.0)
+    memory = StateMemory(TRANSITIONS, SAME, 1.0)
     generator = torch.Generator().manual_seed(0)
     for _ in range(60):  # a view that does not tell 1 from 3, ten samples at a time
         states = torch.where(torch.rand(10, generator=generator) < 0.5, 1, 3)
