@@ -1,11 +1,11 @@
 """From pictures to decisions: encode, forecast n next states, probe them, apply the planner's rule.
 
 A forecast knows no state beyond the last one of a branch: what it says there was never trained. Where most sampled
-presents of a picture are such last states, they therefore stand for their own future. A picture that fits several steps
-gives presents half-way between their states, in which the probe sees the ghosts of all; it is left to the forecast,
-which was trained on such pictures. Decisions draw the n next scenes systematically over the mixture's components: with
-independent draws, 10 futures of a hazard of probability 1/3 show none or one of it in 10 % of all cases, which is noise
-of the sampling and not knowledge.
+presents of a picture are such last states, each of these therefore stands for its own future. The other samples, and
+pictures with fewer of them, are left to the forecast: a picture that fits several steps gives presents half-way between
+their states, in which the probe sees the ghosts of all, and the forecast was trained on such pictures. Decisions draw
+the n next scenes systematically over the mixture's components: with independent draws, 10 futures of a hazard of
+probability 1/3 show none or one of it in 10 % of all cases, which is noise of the sampling and not knowledge.
 """
 
 from collections.abc import Callable
@@ -39,7 +39,7 @@ class SampledScenes:
     present: Float[Tensor, "beliefs n boxes"]
     """The scene that a belief is about."""
     future: Float[Tensor, "beliefs n boxes"]
-    """What to decide by: the next scene, or the present one where it is the last."""
+    """What to decide by: the next scene, or the present one where that is the last."""
 
 
 @torch.no_grad()
@@ -48,10 +48,10 @@ def sample_scenes(model: CarffModel, belief: Belief, n: int, generator: torch.Ge
     ahead = sample_next_scores(model, belief, n, generator, systematic=True)
     present = model.probe_scores(sample_beliefs(belief, n, generator).flatten(0, 1))
     states = model.probe.classify(present)
-    last = (states != UNKNOWN) & (model.scene.successor[states.clamp(min=0)] < 0)
-    ended = last.reshape(len(belief), n).float().mean(dim=1) > 0.5
+    last = ((states != UNKNOWN) & (model.scene.successor[states.clamp(min=0)] < 0)).reshape(len(belief), n)
+    stays = last & (last.float().mean(dim=1, keepdim=True) > 0.5)
     present = present.reshape(ahead.shape)
-    return SampledScenes(present, torch.where(ended[:, None, None], present, ahead))
+    return SampledScenes(present, torch.where(stays[:, :, None], present, ahead))
 
 
 def decide_from_pictures(

@@ -38,9 +38,7 @@ def test_the_last_state_is_its_own_future(tiny_evaluation):
 
 
 @pytest.mark.parametrize("last, stays", [(0, False), (2, False), (3, True), (5, True)])
-def test_a_picture_most_of_whose_presents_are_last_states_stands_for_its_own_future(
-    tiny_evaluation, monkeypatch, last, stays
-):
+def test_last_states_stand_for_their_own_future_where_most_presents_are_such(tiny_evaluation, monkeypatch, last, stays):
     # Boxes: ego at t0, ego at t1, truck at t0, truck at t1. Five presents: the last state, or half of both steps.
     model, views = tiny_evaluation.model, tiny_evaluation.views
     present = torch.tensor([[0.0, 1.0, 0.0, 1.0]] * last + [[0.5, 0.5, 0.5, 0.5]] * (5 - last))
@@ -50,7 +48,8 @@ def test_a_picture_most_of_whose_presents_are_last_states_stands_for_its_own_fut
     monkeypatch.setattr("carff.decisions.sample_next_scores", lambda *_, **__: ahead)
     monkeypatch.setattr(type(model), "probe_scores", lambda self, latents: present)
     scenes = sample_scenes(model, belief, 5, generator())
-    assert torch.equal(scenes.future, present[None] if stays else ahead)
+    expected = torch.cat([present[None, :last], ahead[:, last:]], dim=1) if stays else ahead
+    assert torch.equal(scenes.future, expected)
     assert torch.equal(scenes.present, present[None])
 
 
