@@ -31,7 +31,7 @@ def limits(table: StateTable) -> list[str]:
     reasons = []
     cameras = int((table.view_index("train") >= 0).any(dim=0).sum())
     if cameras == 0:
-        reasons.append("no view has the split `train`: nothing can be trained")
+        reasons.append("no view has the split `train`")
     elif cameras < FEW_CAMERAS:
         reasons.append(f"{cameras} training cameras, few for a radiance field: expect wrong shapes, use dozens")
     if not (table.successor >= 0).any():

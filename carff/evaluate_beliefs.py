@@ -109,7 +109,8 @@ def reconstruction_scores(evaluation: EvaluationData, samples: Float[Tensor, "n 
         whole, changed, baseline = decoded_psnr(evaluation, views.select(rows), samples[rows])
         scores[f"psnr_{suffix}_db"] = mean_psnr_db(whole)
         # A picture that comes back exactly counts without limit in a mean of decibels, but little in this one.
-        scores[f"psnr_{suffix}_of_mean_mse_db"] = mean_psnr_db(psnr_db((10 ** (-whole / 10)).mean(keepdims=True)))
+        mse = 10 ** (-whole / 10)
+        scores[f"psnr_{suffix}_of_mean_mse_db"] = mean_psnr_db(psnr_db(mse.mean(keepdims=True))) if mse.size else None
         if suffix == "train":
             scores |= {"changed_px_db": mean_psnr_db(changed), "psnr_mean_image_db": mean_psnr_db(baseline)}
         else:

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from hashnerf.errors import UserError
 from hashnerf.lens import distort, largest_radius, undistort
+from hashnerf.ray_box import intersect_box
 from hashnerf.rays import Rays, unit_directions
 
 UNDISTORTION_TOLERANCE = 1e-6  # pixels
@@ -115,6 +116,22 @@ def project(
         point = distort(torch.where(visible[:, None], point, torch.zeros_like(point)), distortion)
     pixel = point * cameras.focal[camera_index] + cameras.centre[camera_index]
     return torch.where(visible[:, None], pixel, torch.full_like(pixel, torch.nan)), depth
+
+
+def any_sees(cameras: Cameras, box: Float[Tensor, "2 3"]) -> bool:
+    """Whether the axis of some camera meets an axis-aligned box (metres), or some camera sees a point of it.
+
+    Looked for are the points of a lattice, 9 to a side: only a sliver of a box in a corner of a picture is overlooked.
+    """
+    pose = cameras.pose
+    if bool(intersect_box(pose[:, :3, 3], -pose[:, :3, 2], box)[2].any()):
+        return True
+    share = torch.linspace(0, 1, 9).to(box)
+    points = box[0] + torch.cartesian_prod(share, share, share) * (box[1] - box[0])
+    number = torch.arange(len(cameras), device=pose.device).repeat_interleave(len(points))
+    pixel, _ = project(cameras, number, points.repeat(len(cameras), 1))
+    size = torch.tensor([cameras.width, cameras.height]).to(pixel)
+    return bool(((pixel >= 0) & (pixel < size)).all(dim=1).any())  # NaN, behind the camera, is neither
 
 
 def look_at(

@@ -110,7 +110,7 @@ class Field(nn.Module):
         self.log_greatest_density = math.log(greatest / longest)
         # log1p makes up for what the bound takes from it
         share = config.initial_thickness / greatest
-        self.log_initial_density = math.log(config.initial_thickness / longest) - math.log1p(-share)
+        self.log_initial_density = math.log(config.initial_thickness) - math.log(longest) - math.log1p(-share)
         low = config.mlp_dtype == "bfloat16"
         harmonics, geometry = config.direction_degree**2, config.geometry_features
         encoded = self.hash_grid.out_features

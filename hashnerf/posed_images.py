@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from hashnerf.cameras import Cameras
+from hashnerf.cameras import Cameras, any_sees
 from hashnerf.errors import DataError, UserError
 from hashnerf.image_files import read_depth, read_rgb, resolve_inside
 from hashnerf.lens import COEFFICIENT_KEYS, LENS_KEYS, UNSUPPORTED_COEFFICIENTS, read_lens
@@ -114,7 +114,11 @@ def load_posed_images(folder: Path | str, image_size: int | None = None) -> Pose
     problems += check_extras(document, [view.key for view in views if view.key is not None])
     if problems:
         raise DataError(str(source), problems)
-    return _assemble(folder, document, views)
+    posed = _assemble(folder, document, views)
+    if not any_sees(posed.cameras, posed.scene_box):
+        unseen = f"scene_box {document['scene_box']}: no camera sees it; give it in metres, in the frame of the poses"
+        raise DataError(str(source), [unseen])
+    return posed
 
 
 def missing_views(posed: PosedImages) -> list[tuple[int, int, int]]:

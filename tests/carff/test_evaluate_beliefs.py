@@ -77,6 +77,15 @@ def test_missing_scores_come_with_a_reason(tiny_evaluation):
     assert "at least two states" in reasons["pcvae.svm_all"]
 
 
+@pytest.mark.filterwarnings("error")
+def test_data_without_test_cameras_has_no_figure_for_them_and_no_warning(tiny_evaluation):
+    none = torch.zeros(16, dtype=torch.bool)
+    evaluation = replace(tiny_evaluation, views=replace(tiny_evaluation.views, test=none))
+    scores = reconstruction_scores(evaluation, torch.zeros(16, tiny_evaluation.views.belief.mean.shape[1]))
+    assert scores["psnr_heldout_db"] is None and scores["psnr_heldout_of_mean_mse_db"] is None
+    assert scores["psnr_train_of_mean_mse_db"] is not None
+
+
 def test_reconstructions_are_scored_at_another_camera_of_the_same_state(tiny_evaluation):
     views = tiny_evaluation.views
     clear = views.select(views.determined)

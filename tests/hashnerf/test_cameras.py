@@ -9,7 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hashnerf.cameras import Cameras, camera_rays, image_rays, look_at, project
+from hashnerf.cameras import Cameras, any_sees, camera_rays, image_rays, look_at, project
 from hashnerf.errors import UserError
 from hashnerf.rays import unit_directions
 
@@ -177,3 +177,19 @@ def test_look_at_refuses_views_without_an_orientation(position, target, sentence
 def test_looking_straight_down_works_with_another_up():
     pose = look_at((1, 2, 30), (1, 2, 0), up=(0, 1, 0))
     torch.testing.assert_close(pose[:3, :3], torch.eye(3))
+
+
+@pytest.mark.parametrize(
+    "low, high, seen",
+    [
+        ([1.0, -1.0, -1.0], [2.0, 1.0, 1.0], True),
+        ([-2.0, -1.0, -1.0], [-1.0, 1.0, 1.0], False),  # behind
+        ([4.0, 1.0, -0.5], [5.0, 2.0, 0.5], True),  # beside the axis, in the left half of the picture
+        ([4.0, 6.0, -0.5], [5.0, 7.0, 0.5], False),  # beyond the left edge, at y = x
+        ([-3.0, -3.0, -3.0], [9.0, 9.0, 9.0], True),  # around the camera
+        ([5.0, -0.01, -0.01], [5.01, 0.01, 0.01], True),  # smaller than a pixel
+    ],
+)
+def test_a_box_is_seen_in_front_of_a_camera_only(low, high, seen):
+    camera = _cameras([look_at((0, 0, 0), (1, 0, 0)).float()], height=4, centre=(2.0, 2.0))  # 90 degrees wide and high
+    assert any_sees(camera, torch.tensor([low, high])) == seen

@@ -33,6 +33,11 @@ def test_density_starts_even_and_colour_in_range():
     assert ((rgb > 0) & (rgb < 1)).all()
 
 
+def test_the_smallest_number_is_a_density_to_start_from():
+    density, _ = Field(dataclasses.replace(SMALL, initial_thickness=5e-324), BOX)(*samples(5))
+    assert density.isfinite().all() and (density < 1e-6).all()
+
+
 def test_conditions_by_row_equal_conditions_by_sample():
     field, (positions, directions) = trained_like(), samples(50)
     rows, index = torch.randn(4, 3), torch.randint(4, (50,))
