@@ -9,7 +9,7 @@ import signal
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -17,44 +17,28 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from carff.approach import decide_along_approach
 from carff.closed_loop_file import ClosedLoop, save_closed_loop
 from carff.decisions import decide_from_pictures
 from carff.driving import (
     Drive,
     DrivingConfig,
-    actor_poses,
     advance,
     begin,
     draw_setup,
     going_is_safe,
     stop_matters,
 )
+from carff.ego_pictures import Camera, Look, remembering
 from carff.model import CarffModel, load_carff
 from carff.planner import PlannerConfig
-from carff.planning_metrics import ALWAYS_GO, ALWAYS_STOP, Episode
+from carff.planning_metrics import ALWAYS_GO, ALWAYS_STOP, ApproachPoint, Episode
 from carff.state_memory import StateMemory, state_transitions
 from hashnerf.errors import UserError
 from worlds.scenarios import world_from_description
-from worlds.scene import Scene, World, ego_camera
+from worlds.scene import World
 
 Policy = Callable[[list[Drive], list[int]], list[bool]]
-Look = Callable[[list[Drive]], Tensor]
-MOST_PICTURES = 4000  # of 128 x 128 pixels: 200 MB
-
-
-@dataclass(frozen=True)
-class Camera:
-    """Renders what the ego sees; `description` is the data set's `world` entry."""
-
-    description: dict
-    width: int
-    height: int
-
-    def picture(self, drive: Drive) -> np.ndarray:
-        """Returns the uint8 picture [h, w, 3] from the ego's camera at a moment."""
-        world = world_from_description(self.description)
-        camera = ego_camera(world, world.traffic.routes["ego"].pose(drive.s)).scaled(self.width, self.height)
-        return Scene(world, actor_poses(world, drive.setup, drive.time)).render(camera).rgb
 
 
 class SeeingPolicy:
@@ -101,8 +85,11 @@ def drive_episodes(world: World, policy: Policy, setups: list, config: DrivingCo
 
 def closed_loop(
     model: CarffModel, description: dict, episodes: int, n: int, config: DrivingConfig, seed: int, workers: int
-) -> list[Episode]:
-    """Drives the same random episodes with the planner's rules, the two baselines and the all-seeing oracle."""
+) -> tuple[list[Episode], list[ApproachPoint]]:
+    """Drives the same random episodes with the planner's rules, the two baselines and the all-seeing oracle.
+
+    Beside them come the decisions along the approach, from single pictures.
+    """
     world = world_from_description(description)
     rng = np.random.default_rng(seed)
     setups = [draw_setup(world, config, rng) for _ in range(episodes)]
@@ -120,25 +107,8 @@ def closed_loop(
             planner = replace(model.config.planner, rule=rule)
             policy = SeeingPolicy(model, look, planner, n, seed, world.traffic.step_seconds)
             runs[rule] = drive_episodes(world, policy, setups, config)
-    return compared(runs)
-
-
-def remembering(world: World, render: Callable[[list[Drive]], list[np.ndarray]]) -> Look:
-    """Returns a renderer that renders no scene twice: rules start alike, and an ego that stands may see no change."""
-    known: dict[tuple, np.ndarray] = {}
-
-    def key(drive: Drive) -> tuple:
-        return (drive.s, *actor_poses(world, drive.setup, drive.time).items())
-
-    def look(drives: list[Drive]) -> Tensor:
-        keys = [key(drive) for drive in drives]
-        if len(known) > MOST_PICTURES:
-            known.clear()
-        new = {one: drive for one, drive in zip(keys, drives) if one not in known}
-        known.update(zip(new, render(list(new.values()))))
-        return torch.from_numpy(np.stack([known[one] for one in keys]))
-
-    return look
+        points = decide_along_approach(model, world, look, n, config, seed)
+    return compared(runs), points
 
 
 def compared(runs: dict[str, tuple[list[Drive], list[int]]]) -> list[Episode]:
@@ -173,10 +143,13 @@ def drive_run(folder: Path, episodes: int, n: int, config: DrivingConfig, seed: 
         raise UserError(f"{folder}: its data set was not rendered from an embedded world, so it cannot be driven in")
     reason = undrivable(world_from_description(description))
     start = time.monotonic()
-    driven = [] if reason else closed_loop(model, description, episodes, n, config, seed, workers or usable_cores())
+    driven, points = [], []
+    if not reason:
+        driven, points = closed_loop(model, description, episodes, n, config, seed, workers or usable_cores())
     about = {"samples": n, "seed": seed, "seconds": round(time.monotonic() - start, 2), "driving": asdict(config)}
-    save_closed_loop(folder, driven, about, reason)
-    return ClosedLoop(tuple(driven), about, reason)
+    recorded = ClosedLoop(tuple(driven), tuple(points), about, reason)
+    save_closed_loop(folder, recorded)
+    return recorded
 
 
 def undrivable(world: World) -> str:

@@ -1,14 +1,13 @@
-"""closed_loop.json in a run folder: the episodes that were driven, or why none could be.
+"""closed_loop.json in a run folder: episodes and decisions along the approach, or why there are none.
 
 The file is all that the report knows of the embedded worlds.
 """
 
 import json
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from carff.planning_metrics import Episode
+from carff.planning_metrics import ApproachPoint, Episode
 from hashnerf.errors import UserError
 from hashnerf.transforms_json import read_transforms, write_atomically
 
@@ -17,18 +16,18 @@ CLOSED_LOOP = "closed_loop.json"
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """Episodes of all policies and how they were driven, or the reason why there are none."""
+    """Episodes of all policies, decisions along the approach, how they were made, or the reason why there are none."""
 
     episodes: tuple[Episode, ...] = ()
+    approach: tuple[ApproachPoint, ...] = ()
     about: dict | None = None
     """Number of samples, seed, seconds and driving settings."""
     reason: str = ""
 
 
-def save_closed_loop(folder: Path, episodes: Sequence[Episode], about: dict, reason: str = "") -> None:
+def save_closed_loop(folder: Path, recorded: ClosedLoop) -> None:
     """Replaces the file as a whole."""
-    plain = {"about": about, "reason": reason, "episodes": [asdict(episode) for episode in episodes]}
-    write_atomically(folder / CLOSED_LOOP, json.dumps(plain, indent=1, allow_nan=False).encode())
+    write_atomically(folder / CLOSED_LOOP, json.dumps(asdict(recorded), indent=1, allow_nan=False).encode())
 
 
 def load_closed_loop(folder: Path) -> ClosedLoop:
@@ -39,6 +38,7 @@ def load_closed_loop(folder: Path) -> ClosedLoop:
     plain = read_transforms(path)
     try:
         episodes = tuple(Episode(**entry) for entry in plain["episodes"])
-        return ClosedLoop(episodes, plain["about"], plain["reason"])
+        approach = tuple(ApproachPoint(**entry) for entry in plain["approach"])
+        return ClosedLoop(episodes, approach, plain["about"], plain["reason"])
     except (KeyError, TypeError) as error:
         raise UserError(f"{path}: not written by scripts/plan_carla.py ({error}); run it again") from error

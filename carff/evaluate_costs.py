@@ -6,13 +6,14 @@ Seconds are wall clock, memory is the largest resident size of a stage's process
 import resource
 import sys
 
+from carff.approach_chart import approach_chart
 from carff.charts import closed_loop_chart, stages_chart
 from carff.closed_loop_file import load_closed_loop
 from carff.evaluation_data import EvaluationData, Part
 from carff.figure_style import png_bytes
 from carff.model import load_nerf
 from carff.pipeline import read_timings
-from carff.planning_metrics import closed_loop_results
+from carff.planning_metrics import approach_results, closed_loop_results
 from carff.targets import WHOLE_RUN
 
 EVALUATION = "evaluation"
@@ -29,11 +30,16 @@ def evaluate_closed_loop(evaluation: EvaluationData) -> Part:
     if not recorded.episodes:
         return Part({}, {}, {"closed_loop": recorded.reason or "no episode was driven"})
     policies = closed_loop_results(recorded.episodes)
-    figures = {"closed_loop": png_bytes(closed_loop_chart(policies))}
+    approach = approach_results(recorded.approach)
+    figures = {
+        "closed_loop": png_bytes(closed_loop_chart(policies)),
+        "approach": png_bytes(approach_chart(approach["points"], evaluation.style, evaluation.table.states)),
+    }
     reasons = {}
     if policies.get("risk", {}).get("needless_stop_rate", 0.0) is None:
         reasons["closed_loop.risk.needless_stop_rate"] = "every episode met another actor; drive more episodes"
-    return Part({"closed_loop": policies, "closed_loop_settings": recorded.about}, figures, reasons)
+    results = {"closed_loop": policies, "approach": approach, "closed_loop_settings": recorded.about}
+    return Part(results, figures, reasons)
 
 
 def evaluate_costs(evaluation: EvaluationData, own_seconds: float) -> Part:

@@ -1,11 +1,9 @@
 """The planning part of the report: open-loop decisions from single pictures (CARFF Table 3), and how long one takes.
 
-A *hazard* picture comes from a hazardous state and fits a state without hazard as well: the danger is hidden. Data in
-which nothing is hidden is tried on pictures that show the danger, and says so. A *clear* picture fits no state that is
-or turns hazardous. The flag speaks of the present state, a forecast of the next one: states whose flag changes with the
-next step have no single right answer and are left out. Pictures are the ego's own, of test cameras first, and no camera
-comes twice before every one has come once; only where the ego has fewer than ten different ones do other cameras fill
-up. Every trial draws its own n futures.
+A *hazard* picture is one that hides its hazard (`carff.picture_kinds`); data in which nothing is hidden is tried on
+pictures that show the danger, and says so. Pictures are the ego's own, of test cameras first, and no camera comes twice
+before every one has come once; only where the ego has fewer than ten different ones do other cameras fill up. Every
+trial draws its own n futures.
 """
 
 import statistics
@@ -23,6 +21,7 @@ from carff.evaluate_probe import evidence_px
 from carff.evaluation_data import EvaluationData, Part, Views
 from carff.figure_style import png_bytes
 from carff.model import CarffModel
+from carff.picture_kinds import picture_kinds
 from carff.planner import decide
 from carff.planning_metrics import PAPER_SUCCESS, plan_results, planning_table
 
@@ -75,14 +74,15 @@ def evaluate_plans(evaluation: EvaluationData) -> Part:
 def trial_pictures(evaluation: EvaluationData) -> TrialPictures:
     """Chooses the pictures to plan from, `evaluation.images` of each kind as far as the ego has seen them."""
     wanted = evaluation.config.evaluation.images
-    hidden, shown, clear = picture_kinds(evaluation)
+    views, table = evaluation.views, evaluation.table
+    kinds = picture_kinds(views.state, views.picture, table.known_hazard(), table.successor)
     notes = []
-    if not hidden.any() and shown.any():
+    if not kinds.hidden.any() and kinds.shown.any():
         notes.append("No picture hides a hazard here; the hazard pictures show it.")
-    hazard = hidden if hidden.any() else shown
+    hazard = kinds.hidden if kinds.hidden.any() else kinds.shown
     rows = []
-    for name, kind in zip(_KINDS, (hazard, clear)):
-        views, generator = evaluation.views, evaluation.generator(9)
+    for name, kind in zip(_KINDS, (hazard, kinds.clear)):
+        generator = evaluation.generator(9)
         own = spread(views, kind & views.ego, wanted, generator)
         more = spread(views, kind & ~views.ego, max(min(wanted, FEWEST_IMAGES) - len(own), 0), generator)
         rows.append(torch.cat([own, more]))
@@ -92,24 +92,6 @@ def trial_pictures(evaluation: EvaluationData) -> TrialPictures:
             notes.append(f"The data has only {len(rows[-1])} different {name} pictures.")
     flags = torch.cat([torch.ones(len(rows[0]), dtype=torch.bool), torch.zeros(len(rows[1]), dtype=torch.bool)])
     return TrialPictures(torch.cat(rows), flags, tuple(notes))
-
-
-def picture_kinds(evaluation: EvaluationData) -> tuple[Bool[Tensor, " n"], Bool[Tensor, " n"], Bool[Tensor, " n"]]:
-    """Returns which views hide a hazard, which show one, and which rule one out."""
-    views, hazard = evaluation.views, evaluation.table.known_hazard()
-    successor = evaluation.table.successor
-    goes_on = successor >= 0
-    steady = (goes_on & (hazard == hazard[successor]))[views.state]
-    unsafe = hazard | (goes_on & hazard[successor])
-    picture_count = int(views.picture.max()) + 1
-
-    def occurs(state_kind: Bool[Tensor, " states"]) -> Bool[Tensor, " n"]:
-        seen = torch.zeros(picture_count, dtype=torch.bool)
-        seen[views.picture[state_kind[views.state]]] = True
-        return seen[views.picture]
-
-    danger = steady & hazard[views.state]
-    return danger & occurs(~hazard & goes_on), danger & ~occurs(~hazard), steady & ~occurs(unsafe)
 
 
 def spread(views: Views, kind: Bool[Tensor, " n"], count: int, generator: torch.Generator) -> Int[Tensor, " k"]:

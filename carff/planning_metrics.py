@@ -8,7 +8,7 @@ seconds.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from jaxtyping import Bool
@@ -72,6 +72,21 @@ class Episode:
     decisions: int
 
 
+@dataclass(frozen=True)
+class ApproachPoint:
+    """A picture that the ego's camera takes on the approach, and what is decided from it alone."""
+
+    branch: int
+    step: int
+    to_line: float
+    """Metres that the ego still has to the stop line."""
+    kind: str
+    """`hidden`, `shown` or `clear` (`carff.picture_kinds`); `other` has no single right decision."""
+    hazard_share: float
+    """Share of the sampled futures that show a hazard or could not be told."""
+    go: bool
+
+
 def policy_label(policy: str, n: int | None = None) -> str:
     """How a policy or rule, with its number of samples, is called in figures and tables."""
     label = POLICY_LABELS.get(policy, policy.replace("_", " "))
@@ -126,6 +141,18 @@ def closed_loop_results(episodes: Iterable[Episode], confidence: float = 0.95) -
     for episode in episodes:
         by_policy.setdefault(episode.policy, []).append(episode)
     return {policy: _policy_results(drives, confidence) for policy, drives in by_policy.items()}
+
+
+def approach_results(points: Iterable[ApproachPoint]) -> dict:
+    """Pictures of each kind and how often the decision was right, beside the points themselves."""
+    points = list(points)
+    results: dict = {}
+    for kind in ("hidden", "shown", "clear"):
+        right = [point.go == (kind == "clear") for point in points if point.kind == kind]
+        found = rate(sum(right), len(right))
+        interval = None if found.share is None else [found.low, found.high]
+        results[kind] = {"pictures": found.trials, "success": found.share, "interval": interval}
+    return results | {"points": [asdict(point) for point in points]}
 
 
 def _row(

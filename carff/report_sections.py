@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from carff.report_tables import (
     Table,
-    closed_loop_tables,
     cost_tables,
     data_tables,
+    drive_tables,
     forecast_tables,
     pcvae_tables,
     plan_tables,
@@ -195,8 +195,16 @@ SECTIONS = (
                 "Left must be empty, the middle close to the all-seeing oracle, the right as short as safety allows.",
                 "closed_loop",
             ),
+            Panel(
+                "approach",
+                "Single pictures along the approach",
+                "What is expected at places where no camera of the data stands, the actors standing where the data has "
+                "them. A hidden hazard should be about as probable as it is, all the way to where it comes into view; "
+                "crosses mark decisions that were wrong.",
+                "closed_loop",
+            ),
         ),
-        closed_loop_tables,
+        drive_tables,
     ),
     Section(
         "cost",

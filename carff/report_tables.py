@@ -178,6 +178,19 @@ def closed_loop_tables(results: Mapping) -> list[Table]:
     return [Table(header, rows)] if rows else []
 
 
+def drive_tables(results: Mapping) -> list[Table]:
+    """The policies side by side, and how often single pictures along the approach were decided rightly."""
+    labels = {"hidden": "hides a hazard: waits", "shown": "shows a hazard: waits", "clear": "clear: goes"}
+    found = results.get("approach", {})
+    rows = tuple(
+        (label, number(found[kind]["pictures"]), share(found[kind]["success"], found[kind]["interval"]))
+        for kind, label in labels.items()
+        if kind in found
+    )
+    along = [Table(("picture on the approach", "pictures", "right"), rows)] if rows else []
+    return closed_loop_tables(results) + along
+
+
 def cost_tables(results: Mapping) -> list[Table]:
     """Time and memory of every stage."""
     rows = tuple(

@@ -4,9 +4,9 @@ python scripts/plan_carla.py --run runs/intersection_fast
 python scripts/plan_carla.py --config configs/carff/fast.yaml
 python scripts/plan_carla.py --run runs/intersection_fast --world carla --host localhost --port 2000
 
-`embedded` drives random episodes in the world that the data set was rendered from and writes closed_loop.json into the
-run folder, where scripts/evaluate_carff.py finds it. `carla` prints the decision for each picture of a camera in a
-CARLA server; this part could not be tried against a live server.
+`embedded` drives random episodes in the world that the data set was rendered from, decides from single pictures all
+along the approach, and writes closed_loop.json into the run folder, where scripts/evaluate_carff.py finds it. `carla`
+prints the decision for each picture of a camera in a CARLA server; this part could not be tried against a live server.
 """
 
 from dataclasses import dataclass, field
@@ -18,8 +18,8 @@ from carff.closed_loop import drive_run
 from carff.config import CarffConfig
 from carff.driving import DrivingConfig
 from carff.model import load_carff
-from carff.planning_metrics import closed_loop_results
-from carff.report_tables import closed_loop_tables
+from carff.planning_metrics import approach_results, closed_loop_results
+from carff.report_tables import drive_tables
 from hashnerf.command_line import parse_config, run_main, set_threads
 from hashnerf.errors import UserError
 
@@ -66,10 +66,12 @@ def main() -> None:
     if driven.reason:
         print(f"not driven: {driven.reason}")
         return
-    table = closed_loop_tables({"closed_loop": closed_loop_results(driven.episodes)})[0]
-    widths = [max(map(len, column)) for column in zip(table.header, *table.rows)]
-    for row in (table.header, *table.rows):
-        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip())
+    results = {"closed_loop": closed_loop_results(driven.episodes), "approach": approach_results(driven.approach)}
+    for table in drive_tables(results):
+        widths = [max(map(len, column)) for column in zip(table.header, *table.rows)]
+        for row in (table.header, *table.rows):
+            print("  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip())
+        print()
 
 
 if __name__ == "__main__":

@@ -8,18 +8,17 @@ import torch
 
 from carff import closed_loop as module
 from carff.closed_loop import (
-    Camera,
     SeeingPolicy,
     compared,
     drive_episodes,
     drive_run,
-    remembering,
     undrivable,
     usable_cores,
 )
 from carff.closed_loop_file import load_closed_loop
 from carff.driving import Drive, DrivingConfig, Setup, begin, can_stop, draw_setup, stop_matters
 from carff.planner import PlannerConfig, decide
+from carff.planning_metrics import ApproachPoint
 from carff.state_memory import StateMemory
 from hashnerf.errors import UserError
 from worlds.cube_cylinder import CubeCylinderConfig
@@ -79,15 +78,6 @@ def test_an_ego_that_was_told_too_late_drives_on():
     assert all(drive.over for drive in through)
 
 
-def test_the_picture_is_what_stands_before_the_bumper():
-    camera = Camera(DESCRIPTION, 32, 32)
-    at_the_line = Drive(Setup(1, {"ego": 11.0, "truck": 9.4}, {"ego": 8.0, "truck": 7.4}), 2.0, 28.0, 0.0)
-    with_truck = camera.picture(at_the_line)
-    empty = camera.picture(replace(at_the_line, setup=Setup(0, {"ego": 11.0}, {"ego": 8.0})))
-    assert with_truck.shape == (32, 32, 3) and with_truck.dtype == np.uint8
-    assert (with_truck != empty).any() and (camera.picture(at_the_line) == with_truck).all()
-
-
 def test_a_seeing_policy_decides_from_each_drives_own_picture(tiny_evaluation, monkeypatch):
     shown: list[torch.Tensor] = []
 
@@ -110,27 +100,6 @@ def test_a_seeing_policy_decides_from_each_drives_own_picture(tiny_evaluation, m
     # each drive remembers its own readings, whatever its place among those that are open
     assert {number: int(memory.belief.argmax()) for number, memory in policy.memories.items()} == {3: 0, 8: 1}
     assert shown[0].shape == (2, 32, 32, 3)
-
-
-def test_no_scene_is_rendered_twice(monkeypatch):
-    rendered: list[list[Drive]] = []
-
-    def render(drives: list[Drive]) -> list[np.ndarray]:
-        rendered.append(drives)
-        return [np.full((2, 2, 3), 10 * drive.time + drive.s, dtype=np.uint8) for drive in drives]
-
-    look = remembering(WORLD, render)
-    empty = Drive(Setup(0, {"ego": 11.0}, {"ego": 8.0}), 1.0, 28.0, 0.0)
-    truck = Drive(Setup(1, {"ego": 11.0, "truck": 9.0}, {"ego": 8.0, "truck": 7.0}), 1.0, 28.0, 0.0)
-    seen = look([empty, truck, empty])
-    assert rendered[-1] == [empty, truck] and seen[:, 0, 0, 0].tolist() == [38, 38, 38]
-    # Later nothing has changed without the truck; with it everything has. Another place is another picture, too.
-    later = [replace(empty, time=2.0), replace(truck, time=2.0), replace(empty, s=27.0)]
-    assert look(later)[:, 0, 0, 0].tolist() == [38, 48, 37]
-    assert rendered[-1] == later[1:]
-    monkeypatch.setattr(module, "MOST_PICTURES", 1)
-    look([empty])
-    assert rendered[-1] == [empty], "an over-full memory starts anew"
 
 
 def test_policies_are_compared_setup_by_setup():
@@ -176,6 +145,8 @@ def test_a_run_is_driven_with_every_policy_over_the_same_episodes(tiny_evaluatio
             super().__init__(transitions, same, step_seconds)
 
     monkeypatch.setattr(module, "StateMemory", Recording)
+    point = ApproachPoint(0, 0, 3.0, "clear", 0.0, True)
+    monkeypatch.setattr(module, "decide_along_approach", lambda *_: [point])
     folder = tiny_evaluation.config.folder
     brief = replace(CONFIG, longest=8.0)
     driven = drive_run(folder, 6, 3, brief, seed=1, workers=1)
@@ -191,7 +162,7 @@ def test_a_run_is_driven_with_every_policy_over_the_same_episodes(tiny_evaluatio
     assert all(one.needless_stop for one in episodes["paper"] if one.branch == 0)
     assert not any(one.collided for one in episodes["oracle"])
     recorded = load_closed_loop(folder)
-    assert recorded.episodes == driven.episodes
+    assert recorded.episodes == driven.episodes and recorded.approach == (point,)
     assert recorded.about["samples"] == 3 and recorded.about["driving"] == asdict(brief)
 
 
@@ -202,7 +173,7 @@ def test_worlds_without_a_moving_ego_give_a_reason(tiny_evaluation, monkeypatch)
     model = in_a_world(tiny_evaluation, world_description(build_world(CubeCylinderConfig(), 0)))
     monkeypatch.setattr(module, "load_carff", lambda folder: model)
     driven = drive_run(tiny_evaluation.config.folder, 6, 3, CONFIG, 1)
-    assert driven.reason == "nothing drives in cube_cylinder" and not driven.episodes
+    assert driven.reason == "nothing drives in cube_cylinder" and not driven.episodes + driven.approach
     assert load_closed_loop(tiny_evaluation.config.folder).reason == driven.reason
 
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 
 from carff import evaluate_costs as costs_part
-from carff.closed_loop_file import save_closed_loop
+from carff.closed_loop_file import ClosedLoop, save_closed_loop
 from carff.evaluate_costs import evaluate_closed_loop, evaluate_costs, peak_memory_mb
-from carff.planning_metrics import Episode
+from carff.planning_metrics import ApproachPoint, Episode
 
 
 def in_a_world(evaluation):
@@ -22,23 +22,26 @@ def test_episodes_are_read_from_the_run_folder(tiny_evaluation):
     assert "plan_carla.py --run" in evaluate_closed_loop(evaluation).not_run["closed_loop"]
     crash = Episode("risk", 1, True, True, False, False, None, 3)
     fine = Episode("risk", 0, False, False, True, True, 4.0, 5)
-    save_closed_loop(evaluation.config.folder, [crash, fine], {"samples": 10})
+    along = (ApproachPoint(1, 0, 8.0, "hidden", 0.1, True), ApproachPoint(1, 0, 9.0, "hidden", 0.5, False))
+    save_closed_loop(evaluation.config.folder, ClosedLoop((crash, fine), along, {"samples": 10}))
     part = evaluate_closed_loop(evaluation)
     assert part.results["closed_loop"]["risk"]["collisions"] == 1
     assert part.results["closed_loop"]["risk"]["needless_stop_rate"] == 1.0
     assert part.results["closed_loop_settings"] == {"samples": 10}
-    assert set(part.figures) == {"closed_loop"}
+    assert part.results["approach"]["hidden"]["success"] == 0.5
+    assert set(part.figures) == {"closed_loop", "approach"}
 
 
 def test_episodes_that_all_met_another_actor_leave_needless_stops_open(tiny_evaluation):
     evaluation = in_a_world(tiny_evaluation)
-    save_closed_loop(evaluation.config.folder, [Episode("risk", 1, True, True, False, False, None, 3)], {})
+    crash = Episode("risk", 1, True, True, False, False, None, 3)
+    save_closed_loop(evaluation.config.folder, ClosedLoop((crash,), (), {}))
     assert "drive more episodes" in evaluate_closed_loop(evaluation).not_run["closed_loop.risk.needless_stop_rate"]
 
 
 def test_a_world_that_cannot_be_driven_in_gives_its_reason(tiny_evaluation):
     evaluation = in_a_world(tiny_evaluation)
-    save_closed_loop(evaluation.config.folder, [], {}, "the ego stands still")
+    save_closed_loop(evaluation.config.folder, ClosedLoop(reason="the ego stands still"))
     assert evaluate_closed_loop(evaluation).not_run == {"closed_loop": "the ego stands still"}
 
 

@@ -4,7 +4,9 @@ import pytest
 from carff.planning_metrics import (
     ALWAYS_GO,
     ALWAYS_STOP,
+    ApproachPoint,
     Episode,
+    approach_results,
     closed_loop_results,
     plan_results,
     planning_table,
@@ -81,6 +83,17 @@ def test_a_policy_that_never_crosses_and_never_met_a_clear_way():
     results = closed_loop_results([_episode(hazard=True, stopped=True, time_to_cross=None)])["risk"]
     assert results["time_to_cross_s"] is None and results["time_to_cross_quartiles_s"] is None
     assert results["needless_stop_rate"] is None and results["needless_stop_interval"] is None
+
+
+def test_along_the_approach_hazards_are_waited_for_and_clear_ways_are_gone():
+    kinds = {"hidden": [False, False, False, True], "shown": [False], "clear": [True, True], "other": [True]}
+    points = [ApproachPoint(0, 0, 1.0, kind, 0.5, go) for kind, decisions in kinds.items() for go in decisions]
+    results = approach_results(points)
+    assert [results[kind]["success"] for kind in ("hidden", "shown", "clear")] == [0.75, 1.0, 1.0]
+    assert results["hidden"]["pictures"] == 4
+    assert results["hidden"]["interval"] == pytest.approx([0.3006, 0.9544], abs=1e-4)
+    assert len(results["points"]) == 8 and results["points"][-1]["kind"] == "other"
+    assert approach_results([])["clear"] == {"pictures": 0, "success": None, "interval": None}
 
 
 def test_policies_have_names_for_people():

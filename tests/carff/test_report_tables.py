@@ -7,6 +7,7 @@ from carff.report_tables import (
     closed_loop_tables,
     cost_tables,
     data_tables,
+    drive_tables,
     forecast_tables,
     number,
     pcvae_tables,
@@ -76,6 +77,15 @@ def test_closed_loop_table_of_a_policy_that_never_crosses():
     results = closed_loop_results([Episode("always_stop", 0, False, False, True, True, None, 9)])
     row = closed_loop_tables({"closed_loop": results})[0].rows[0]
     assert row[:3] == ("always stop (under-confident)", "1", "0") and row[-1] == "–"
+
+
+def test_the_approach_has_a_table_of_its_own():
+    along = {"pictures": 4, "success": 0.75, "interval": [0.3, 0.95]}
+    none = {"pictures": 0, "success": None, "interval": None}
+    (table,) = drive_tables({"approach": {"hidden": along, "shown": none, "clear": none}})
+    assert table.rows[0] == ("hides a hazard: waits", "4", "75.0 % [30.0, 95.0]")
+    assert [row[1:] for row in table.rows[1:]] == [("0", "–")] * 2
+    assert drive_tables({}) == []
 
 
 def test_forecast_table_names_branches_where_the_data_does():

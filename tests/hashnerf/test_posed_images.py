@@ -276,7 +276,10 @@ def test_pictures_of_several_sizes_are_reported_without_stated_sizes(folder):
         ),
         (lambda d: d.update(camera_model="FISHEYE"), "camera_model 'FISHEYE' is not supported"),
         (lambda d: d.update(scene_box=[[0, 0, 0], [0, 1, 1]]), "scene_box"),
-        (lambda d: d.update(scene_box=[[900, 900, 0], [901, 901, 1]]), "901, 1]]: no camera sees it; give it in metres"),
+        (
+            lambda d: d.update(scene_box=[[900, 900, 0], [901, 901, 1]]),
+            "901, 1]]: no camera sees it; give it",
+        ),
         (lambda d: d["states"].append({"branch": 5, "step": 0}), "states[2]: branch 5 step 0 has no frame"),
         (lambda d: d["actors"]["truck"].append({**ACTOR, "step": 3}), "actors.truck[1] is at branch 1 step 3"),
         (
