@@ -25,17 +25,18 @@ def evaluate_closed_loop(evaluation: EvaluationData) -> Part:
     """Returns the recorded episodes of every policy side by side."""
     if evaluation.model.scene.world is None:
         reason = "the data set was not rendered from an embedded world, so there is nothing to drive in"
-        return Part({}, {}, {"closed_loop": reason})
+        return Part({}, {}, dict.fromkeys(("closed_loop", "approach"), reason))
     recorded = load_closed_loop(evaluation.config.folder)
     if not recorded.episodes:
-        return Part({}, {}, {"closed_loop": recorded.reason or "no episode was driven"})
+        return Part({}, {}, dict.fromkeys(("closed_loop", "approach"), recorded.reason or "no episode was driven"))
     policies = closed_loop_results(recorded.episodes)
     approach = approach_results(recorded.approach)
     figures = {
         "closed_loop": png_bytes(closed_loop_chart(policies)),
         "approach": png_bytes(approach_chart(approach["points"], evaluation.style, evaluation.table.states)),
     }
-    reasons = {}
+    kinds = ("hidden", "clear")
+    reasons = {f"approach.{kind}": f"no picture is {kind}" for kind in kinds if not approach[kind]["pictures"]}
     if policies.get("risk", {}).get("needless_stop_rate", 0.0) is None:
         reasons["closed_loop.risk.needless_stop_rate"] = "every episode met another actor; drive more episodes"
     results = {"closed_loop": policies, "approach": approach, "closed_loop_settings": recorded.about}

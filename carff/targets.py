@@ -71,6 +71,10 @@ TARGETS = (
     Target("plan.risk.n10.hazard_success", "risk rule, n = 10: waits at a hazard", ">=", "%", 0.97, 0.99, "30 of 30"),
     Target("plan.risk.n10.clear_success", "risk rule, n = 10: goes when clear", ">=", "%", 0.97, 0.99, "30 of 30"),
     Target("plan.risk.n35_change", "risk rule: change from n = 10 to n = 35", ">=", "points", -0.02, 0.0, "−37 points"),
+    Target(
+        "approach.hidden.success", "single pictures along the approach: waits at a hidden hazard", ">=", "%", None, None
+    ),
+    Target("approach.clear.success", "single pictures along the approach: goes when clear", ">=", "%", None, None),
     Target("closed_loop.risk.collisions", "closed loop, risk rule: collisions", "==", "", 0.0, 0.0),
     Target("closed_loop.risk.needless_stop_rate", "closed loop, risk rule: needless stops", "<=", "%", 0.15, 0.05),
     Target("decision_ms_n10", "one decision, n = 10", "<=", "ms", 200.0, 200.0),

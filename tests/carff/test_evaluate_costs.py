@@ -29,6 +29,7 @@ def test_episodes_are_read_from_the_run_folder(tiny_evaluation):
     assert part.results["closed_loop"]["risk"]["needless_stop_rate"] == 1.0
     assert part.results["closed_loop_settings"] == {"samples": 10}
     assert part.results["approach"]["hidden"]["success"] == 0.5
+    assert part.not_run == {"approach.clear": "no picture is clear"}
     assert set(part.figures) == {"closed_loop", "approach"}
 
 
@@ -42,7 +43,9 @@ def test_episodes_that_all_met_another_actor_leave_needless_stops_open(tiny_eval
 def test_a_world_that_cannot_be_driven_in_gives_its_reason(tiny_evaluation):
     evaluation = in_a_world(tiny_evaluation)
     save_closed_loop(evaluation.config.folder, ClosedLoop(reason="the ego stands still"))
-    assert evaluate_closed_loop(evaluation).not_run == {"closed_loop": "the ego stands still"}
+    assert evaluate_closed_loop(evaluation).not_run == dict.fromkeys(
+        ("closed_loop", "approach"), "the ego stands still"
+    )
 
 
 def test_photographs_have_no_world_to_drive_in(tiny_evaluation):

@@ -36,7 +36,7 @@ def test_every_required_figure_has_a_value_or_a_reason(report):
     assert document["plan"]["risk"]["n35"]["hazard_success"] == 1.0
     assert document["run"]["command"] == "the command" and document["run"]["scenario"] == "tiny"
     # The data set has no embedded world behind it, and this run no record of its training curve.
-    assert set(document["not_run"]) == {"closed_loop", "psnr_train"}
+    assert set(document["not_run"]) == {"closed_loop", "approach", "psnr_train"}
     assert parts == ["loading", *evaluation.PARTS] and set(document["evaluation_seconds"]) == set(parts)
     text = page.read_text()
     assert text.count("data:image/png;base64") == 13 and "://" not in text, "one file that opens offline"
