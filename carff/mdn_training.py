@@ -18,11 +18,11 @@ from torch.nn.utils import clip_grad_norm_
 
 from carff.mdn import MDN
 from carff.mixtures import GaussianMixture, negative_log_likelihood
-from carff.model_files import save_model
 from carff.schedules import cosine_rate
 from carff.transitions import TransitionBatch, TransitionConfig, TransitionSampler
 from hashnerf.errors import UserError
 from hashnerf.finite_steps import FiniteSteps
+from hashnerf.model_files import save_model
 from hashnerf.training_run import TrainingRun
 
 WARM_UP = 50  # steps: at full rate from the start, most ReLU units die in the first few

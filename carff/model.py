@@ -12,7 +12,6 @@ from carff.config import CarffConfig
 from carff.forecast import Forecast, roll_out
 from carff.mdn import MDN
 from carff.mdn_training import build_mdn
-from carff.model_files import load_model
 from carff.nerf import LatentNerf
 from carff.pcvae import Pcvae
 from carff.probe import UNKNOWN, Probe, ProbeConfig, box_thickness, build_candidates, calibrate
@@ -20,6 +19,7 @@ from carff.scene_info import SceneInfo, load_scene_info
 from carff.stages import CONFIG, SCENE, device_of, load_pcvae
 from hashnerf.command_line import load_config
 from hashnerf.errors import UserError
+from hashnerf.model_files import load_model
 
 CALIBRATION_DRAWS = 32
 

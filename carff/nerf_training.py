@@ -9,12 +9,12 @@ from torch import Tensor
 
 from carff.beliefs import view_distinctness
 from carff.latent_bank import build_bank
-from carff.model_files import save_model
 from carff.nerf import LatentNerf, NerfConfig
 from carff.state_rays import build_state_rays
 from carff.states import StateTable
 from carff.transitions import ViewBeliefs
 from hashnerf.fit import FieldFit, RayBatch, fit_field
+from hashnerf.model_files import save_model
 from hashnerf.posed_images import PosedImages
 from hashnerf.rays import Rays
 from hashnerf.training_run import TrainingRun

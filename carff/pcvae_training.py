@@ -9,13 +9,13 @@ from torch import Tensor
 from torch.nn.utils import clip_grad_norm_
 
 from carff.beliefs import kl_to_standard_normal, reparameterise
-from carff.model_files import save_model
 from carff.pcvae import Pcvae, PcvaeConfig
 from carff.schedules import delayed_linear
 from carff.states import StateTable, ambiguous_groups, state_chances
 from carff.view_priority import ViewPriority
 from hashnerf.errors import UserError
 from hashnerf.finite_steps import FiniteSteps
+from hashnerf.model_files import save_model
 from hashnerf.posed_images import PosedImages
 from hashnerf.training_run import TrainingRun
 

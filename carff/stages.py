@@ -16,7 +16,6 @@ from torch import Tensor
 from carff.config import CarffConfig
 from carff.dataset_summary import limits
 from carff.mdn_training import build_mdn, train_mdn
-from carff.model_files import load_model
 from carff.nerf import NerfConfig
 from carff.nerf_training import build_nerf, train_nerf, training_views
 from carff.pcvae import Pcvae
@@ -26,6 +25,7 @@ from carff.states import StateTable, build_state_table
 from carff.transitions import TransitionSampler, ViewBeliefs
 from hashnerf.command_line import config_changes, plain_config, read_yaml, save_config, set_threads
 from hashnerf.errors import UserError
+from hashnerf.model_files import load_model
 from hashnerf.posed_images import PosedImages, load_posed_images
 from hashnerf.progress import say
 from hashnerf.random_state import seed_everything

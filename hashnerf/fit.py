@@ -7,7 +7,7 @@ alone, so that nothing random needs saving.
 
 import hashlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -19,6 +19,7 @@ from torch import Tensor, nn
 from hashnerf.errors import UserError
 from hashnerf.field import Field
 from hashnerf.finite_steps import FiniteSteps
+from hashnerf.known_surfaces import distance_error, standing
 from hashnerf.marching import MOST_SAMPLES_PER_OPACITY, MarchSettings
 from hashnerf.occupancy import OccupancyGrid
 from hashnerf.rays import Rays
@@ -52,6 +53,10 @@ class FitConfig:
     """`march.samples_per_opacity` of the first step; it changes geometrically to the march's own. While all is fog many
     rays teach more than many samples a ray. Too few make the fog last: a thin surface that is hit by chance gives noisy
     colours, a thick one does not (docs/results/notes.md). No effect with `march.samples` 0."""
+    distance_weight: float = 0.1
+    """Weight of the error of known distances (per metre), where a batch has any."""
+    empty_weight: float = 0.01
+    """Weight of what stands at points known to be empty, where a batch has any."""
     occupancy_every: int = 16
     """Steps between updates of the occupancy grid."""
     log_every: int = 20
@@ -63,6 +68,9 @@ class FitConfig:
         for name in ("learning_rate", "network_learning_rate", "final_share"):
             if not 0 < getattr(self, name) < math.inf:
                 raise UserError(f"fit.{name} is {getattr(self, name)}: use a positive number")
+        for name in ("distance_weight", "empty_weight"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise UserError(f"fit.{name} is {getattr(self, name)}: use 0 or a positive number")
         if not 0 <= self.average_decay < 1:
             raise UserError(f"fit.average_decay is {self.average_decay}: use 0 (no average) or more and less than 1")
         if not 0 < self.first_samples_per_opacity <= MOST_SAMPLES_PER_OPACITY:
@@ -87,7 +95,11 @@ class RayBatch:
     condition_index: Int[Tensor, " rays"] | None = None
     """Row of `conditions` of each ray."""
     weight: Float[Tensor, " rays"] | None = None
-    """Weight of each ray's error; 1 if absent."""
+    """Weight of each ray's colour error; 1 if absent."""
+    distance: Float[Tensor, " rays"] | None = None
+    """Distance at which each ray is known to hit a surface (m), NaN where that is not known."""
+    empty: Float[Tensor, "points 3"] | None = None
+    """Points where nothing stands (m); of unconditioned fields only."""
 
 
 DrawBatch = Callable[[int, int, torch.Generator], RayBatch]
@@ -97,9 +109,9 @@ ConditionBank = Callable[[int], Tensor | None]
 class _Loss(nn.Module):
     """One module whose forward pass is a step's loss: data-parallel wrappers see every parameter through it."""
 
-    def __init__(self, field: Field, loss: str):
+    def __init__(self, field: Field, config: FitConfig):
         super().__init__()
-        self.field, self.loss = field, loss
+        self.field, self.config = field, config
 
     def forward(
         self, batch: RayBatch, occupancy: OccupancyGrid, settings: MarchSettings, generator: torch.Generator | None
@@ -108,9 +120,13 @@ class _Loss(nn.Module):
         seen = render_batch(self.field, batch, occupancy, settings, generator)
         difference = seen.rgb - batch.rgb
         squared = difference.square().mean(dim=1)
-        error = squared if self.loss == "mse" else _huber(difference).mean(dim=1)
-        weighted = error if batch.weight is None else error * batch.weight
-        return weighted.mean(), squared.detach().mean(), seen.samples_evaluated
+        error = squared if self.config.loss == "mse" else _huber(difference).mean(dim=1)
+        loss = (error if batch.weight is None else error * batch.weight).mean()
+        if batch.distance is not None:
+            loss = loss + self.config.distance_weight * distance_error(seen, batch.distance)
+        if batch.empty is not None:
+            loss = loss + self.config.empty_weight * standing(self.field, batch.empty)
+        return loss, squared.detach().mean(), seen.samples_evaluated
 
 
 def _huber(difference: Tensor) -> Tensor:
@@ -149,7 +165,9 @@ class FieldFit:
         settings: MarchSettings,
         total_steps: int,
         fabric: Fabric | None = None,
+        further: Sequence[Mapping] = (),
     ):
+        """`further` are groups of parameters beside the field's own: `params`, and `start`, their first step."""
         if any(p.dtype in (torch.float16, torch.bfloat16) for p in field.parameters()):
             raise ValueError("the field's weights are in half precision: Adam needs float32 weights")
         self.config, self.settings, self.total_steps = config, settings, total_steps
@@ -161,9 +179,10 @@ class FieldFit:
         groups = [
             {"params": quick, "start": config.learning_rate},
             {"params": networks, "start": config.network_learning_rate},
+            *(dict(group) for group in further),
         ]
         optimizer = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
-        self.loss, self.optimizer = self.fabric.setup(_Loss(field, config.loss), optimizer)
+        self.loss, self.optimizer = self.fabric.setup(_Loss(field, config), optimizer)
         self.average = WeightAverage(field, config.average_decay)
         self.finite = FiniteSteps()
         self.samples_per_ray = 0.0  # running mean

@@ -2,13 +2,13 @@
 
 import torch
 
-from carff.model_files import load_model
 from carff.nerf import LatentNerf, NerfConfig
 from carff.nerf_training import build_nerf, train_nerf, training_views
 from carff.transitions import ViewBeliefs
 from hashnerf.field import FieldConfig
 from hashnerf.fit import FitConfig
 from hashnerf.marching import MarchSettings
+from hashnerf.model_files import load_model
 from hashnerf.occupancy import OccupancyConfig
 
 CONFIG = NerfConfig(

@@ -5,10 +5,10 @@ import torch
 
 from carff.beliefs import reparameterise
 from carff.encoders import EncoderConfig
-from carff.model_files import load_model
 from carff.pcvae import Pcvae, PcvaeConfig
 from carff.pcvae_training import even_psnr_db, rate_factor, train_pcvae
 from carff.view_priority import ViewPriority
+from hashnerf.model_files import load_model
 
 
 def config(steps: int) -> PcvaeConfig:

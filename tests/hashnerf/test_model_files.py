@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch import nn
 
-from carff.model_files import load_model, save_model
 from hashnerf.errors import UserError
+from hashnerf.model_files import load_model, save_model
 from hashnerf.training_run import TrainingRun
 
 

@@ -1,0 +1,106 @@
+"""What a batch may know besides colours: distances of surfaces and points where nothing stands."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from hashnerf.errors import UserError
+from hashnerf.field import Field, FieldConfig
+from hashnerf.fit import FieldFit, FitConfig, RayBatch, render_batch
+from hashnerf.known_surfaces import distance_error
+from hashnerf.marching import MarchSettings
+from hashnerf.occupancy import OccupancyConfig, OccupancyGrid
+from hashnerf.rays import Rays
+from hashnerf.render import Rendering
+
+BOX = torch.tensor([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
+FIELD = FieldConfig(levels=4, log2_table_size=12, base_resolution=8, finest_resolution=32, hidden_width=16)
+MARCH = MarchSettings(candidates=64, even_distance=2.0, near=0.01, samples=0)
+CONFIG = FitConfig(rays=128, occupancy_every=4, learning_rate=0.05)
+
+
+def build(**changes) -> FieldFit:
+    torch.manual_seed(0)
+    grid = OccupancyGrid(OccupancyConfig(cell=0.2, warmup=100), BOX)
+    return FieldFit(Field(FIELD, BOX), grid, dataclasses.replace(CONFIG, **changes), MARCH, 60)
+
+
+def downward(count: int, generator: torch.Generator, **known) -> RayBatch:
+    """Rays straight down through the box, which see grey."""
+    place = torch.cat([torch.rand(count, 2, generator=generator), torch.full((count, 1), 1.5)], dim=1)
+    down = torch.tensor([0.0, 0.0, -1.0]).expand(count, 3).contiguous()
+    return RayBatch(Rays(place, down), torch.full((count, 3), 0.5), **known)
+
+
+def train(fit: FieldFit, steps: int = 60, **known) -> FieldFit:
+    for step in range(steps):
+        if step % 4 == 0:
+            fit.update_occupancy(None)
+        generator = fit.generator(step)
+        fit.step(step, downward(128, generator, **known), generator)
+    return fit
+
+
+def rendering(depth: list[float], valid: list[bool]) -> Rendering:
+    far = torch.tensor(depth)
+    return Rendering(torch.zeros(len(far), 3), far, far, torch.tensor(valid), torch.ones(len(far)), 0)
+
+
+def test_the_distance_error_by_hand():
+    seen = rendering([1.0, 2.0, 3.0, torch.inf], [True, True, True, False])
+    # errors of 0 and 1 m beyond the bend at 5 cm: 1 - 0.025; the third is not known, the fourth hits nothing
+    wanted = torch.tensor([1.0, 3.0, torch.nan, 2.0])
+    assert float(distance_error(seen, wanted)) == pytest.approx((0.0 + 0.975) / 2)
+    assert float(distance_error(seen, torch.full((4,), torch.nan))) == 0.0
+
+
+def test_the_distance_error_has_a_finite_gradient_beside_rays_that_hit_nothing():
+    depth = torch.tensor([1.0, torch.inf], requires_grad=True)
+    seen = dataclasses.replace(rendering([1.0, 1.0], [True, False]), depth=depth)
+    distance_error(seen, torch.tensor([1.5, torch.nan])).backward()
+    assert depth.grad is not None and depth.grad.tolist() == pytest.approx([-1.0, 0.0])
+
+
+def test_known_distances_put_the_surface_there():
+    distance = torch.full((128,), 1.2)
+    error = []
+    for known in ({}, {"distance": distance}):
+        fit = train(build(distance_weight=1.0), **known)
+        with torch.no_grad():
+            probe = downward(128, torch.Generator().manual_seed(1))
+            seen = render_batch(fit.field, probe, fit.occupancy, MARCH)
+        error.append(float((seen.depth - 1.2).abs().mean()))
+    assert error[1] < 0.03 and error[1] < error[0] / 3
+
+
+def test_empty_points_clear_the_air_there_and_nowhere_else():
+    generator = torch.Generator().manual_seed(0)
+    empty = torch.rand(400, 3, generator=generator) * torch.tensor([1.0, 1.0, 0.4]) + torch.tensor([0.0, 0.0, 0.5])
+    plain, cleared = train(build()), train(build(empty_weight=0.3), empty=empty)
+    inside = torch.rand(500, 3, generator=generator) * torch.tensor([1.0, 1.0, 0.3]) + torch.tensor([0.0, 0.0, 0.55])
+    with torch.no_grad():
+        before, after = (float(fit.field.density(inside)[0].mean()) for fit in (plain, cleared))
+        probe = downward(128, torch.Generator().manual_seed(1))
+        seen = render_batch(cleared.field, probe, cleared.occupancy, MARCH)
+    assert after < before / 5
+    assert (seen.rgb - 0.5).abs().mean() < 0.05, "what the rays see moved to where something may stand"
+
+
+def test_further_parameters_are_trained_with_the_field():
+    shift = torch.nn.Parameter(torch.zeros(3))
+    torch.manual_seed(0)
+    grid = OccupancyGrid(OccupancyConfig(cell=0.2), BOX)
+    fit = FieldFit(Field(FIELD, BOX), grid, CONFIG, MARCH, 10, further=[{"params": [shift], "start": 0.01}])
+    fit.update_occupancy(None)
+    batch = downward(64, torch.Generator().manual_seed(0))
+    rays = Rays(batch.rays.origins + shift, batch.rays.directions)
+    fit.step(0, dataclasses.replace(batch, rays=rays), fit.generator(0))
+    assert shift.abs().max() > 0
+    assert len(fit.optimizer.param_groups) == 3
+
+
+@pytest.mark.parametrize("key", ["distance_weight", "empty_weight"])
+def test_impossible_weights_name_the_key(key):
+    with pytest.raises(UserError, match=f"fit.{key}"):
+        FitConfig(**{key: -1.0})
