@@ -30,7 +30,7 @@ def _summarise(config: DatasetConfig, made: MadeDataset) -> None:
     states = [f"{names[s['branch']]} {s['step']}{' (hazard)' if s['hazard'] else ''}" for s in document["states"]]
     kinds = Counter(document["camera_kinds"])
     splits = Counter(frame["split"] for frame in document["frames"])
-    print(f"{config.folder}: {len(document['frames'])} views of {config.image_size} x {config.image_size} px")
+    print(f"{config.folder}: {len(document['frames'])} views of {document['w']} x {document['h']} px")
     print(f"states   {', '.join(states)}")
     print(f"cameras  {', '.join(f'{count} {kind}' for kind, count in kinds.items())}")
     print(f"views    {', '.join(f'{count} {split}' for split, count in splits.items())}")

@@ -3,6 +3,7 @@
 Each view follows from (config, seed) alone, so the files do not depend on the number of worker processes.
 """
 
+import json
 import multiprocessing
 import signal
 from collections.abc import Callable, Iterator
@@ -24,6 +25,9 @@ from worlds.view import StaticView
 
 VERSION = 2
 """Rises when the same config and seed give other pictures; a data set of another version is not up to date."""
+
+TRUTH = "truth.json"
+"""True poses by camera, beside a transforms.json whose poses are not exact: for evaluation alone."""
 
 Visibility = dict[str, list[list[int]]]
 """Rows [branch, step, camera, visible px, px without occluders] by actor."""
@@ -54,7 +58,16 @@ def write_dataset(
         on_camera(done, total)
     document = describe(world, image_size, {name: sorted(rows) for name, rows in visibility.items()})
     write_transforms(folder / "transforms.json", document)
+    if world.rig.told is not None:
+        truth = {"poses": world.rig.cameras.pose.tolist()}
+        (folder / TRUTH).write_text(json.dumps(truth), encoding="utf-8")
     return document
+
+
+def scaled_cameras(world: World, image_size: int) -> Cameras:
+    """The rig's cameras with pictures `image_size` pixels wide, their shape unchanged."""
+    cameras = world.rig.cameras
+    return cameras.scaled(image_size, round(image_size * cameras.height / cameras.width))
 
 
 def view_name(branch: int, step: int, camera: int) -> str:
@@ -67,7 +80,7 @@ class _Renderer:
 
     def __init__(self, config: ScenarioConfig, seed: int, folder: Path, image_size: int):
         self.world, self.folder = build_world(config, seed), folder
-        self.cameras: Cameras = self.world.rig.cameras.scaled(image_size, image_size)
+        self.cameras: Cameras = scaled_cameras(self.world, image_size)
         self.scenes = [Scene(self.world, state.poses) for state in self.world.states]
         self.alone = [
             {name: Caster([(1, scene.mesh(name))]) for name in self.world.actors if name in scene.poses}
@@ -129,11 +142,11 @@ def describe(world: World, image_size: int, visibility: Visibility) -> dict[str,
             box = scene.box(name)
             place = {"center": list(box.center), "size": list(box.size), "yaw": box.yaw}
             actors[name].append({"branch": state.branch, "step": state.step, **place})
+    cameras = scaled_cameras(world, image_size)
     return {
         "camera_model": "OPENCV",
-        "w": image_size,
-        "h": image_size,
-        **dict.fromkeys(("k1", "k2", "p1", "p2"), 0.0),
+        "w": cameras.width,
+        "h": cameras.height,
         "scene_box": world.scene_box.tolist(),
         "camera_kinds": list(world.rig.kinds),
         "states": [{"branch": s.branch, "step": s.step, "hazard": s.hazard} for s in world.states],
@@ -142,12 +155,13 @@ def describe(world: World, image_size: int, visibility: Visibility) -> dict[str,
         "actors": actors,
         "visibility": visibility,
         "world": world_description(world),
-        "frames": _frames(world, image_size),
+        **world.extras,
+        "frames": _frames(world, cameras),
     }
 
 
-def _frames(world: World, image_size: int) -> list[dict[str, Any]]:
-    cameras = world.rig.cameras.scaled(image_size, image_size)
+def _frames(world: World, cameras: Cameras) -> list[dict[str, Any]]:
+    poses = cameras.pose if world.rig.told is None else world.rig.told
     frames = []
     for state in world.states:
         for index, split in enumerate(world.rig.splits):
@@ -156,5 +170,6 @@ def _frames(world: World, image_size: int) -> list[dict[str, Any]]:
             frame = {"file_path": f"images/{name}", "depth_path": f"depth/{name}"}
             frame |= {"branch": state.branch, "step": state.step, "camera": index, "split": split}
             frame |= {"fl_x": fl_x, "fl_y": fl_y, "cx": cx, "cy": cy}
-            frames.append(frame | {"transform_matrix": cameras.pose[index].tolist()})
+            frame |= dict(zip(("k1", "k2", "p1", "p2"), cameras.distortion[index].tolist()))
+            frames.append(frame | {"transform_matrix": poses[index].tolist()})
     return frames

@@ -18,7 +18,8 @@ from worlds.cube_cylinder import CubeCylinderConfig
 from worlds.dataset import world_description, write_dataset
 from worlds.glb import export_glb
 from worlds.intersection import IntersectionConfig
-from worlds.scenarios import ScenarioConfig, build_world
+from worlds.mini_city import MiniCityConfig
+from worlds.scenarios import SCENARIOS, ScenarioConfig, build_world
 from worlds.scene import Scene
 from worlds.single_scene_intersection import SingleSceneIntersectionConfig
 from worlds.two_lane_merge import TwoLaneMergeConfig
@@ -28,7 +29,9 @@ from worlds.two_lane_merge import TwoLaneMergeConfig
 class DatasetConfig:
     """What to render and where to."""
 
-    scenario: Literal["intersection", "two_lane_merge", "single_scene_intersection", "cube_cylinder"] = "intersection"
+    scenario: Literal["intersection", "two_lane_merge", "single_scene_intersection", "cube_cylinder", "mini_city"] = (
+        "intersection"
+    )
     """Which scenario; its settings are in the group of the same name."""
     seed: int = 0
     """Varies layout, sizes, colours and cameras within what the settings allow."""
@@ -50,12 +53,14 @@ class DatasetConfig:
     """Settings of the single-scene intersection."""
     cube_cylinder: CubeCylinderConfig = field(default_factory=CubeCylinderConfig)
     """Settings of the cube and cylinder."""
+    mini_city: MiniCityConfig = field(default_factory=MiniCityConfig)
+    """Settings of the mini-city and its survey."""
 
     def __post_init__(self) -> None:
         check_between("seed", self.seed, 0, 2**32 - 1)
         check_between("image_size", self.image_size, 8, 4096)
         check_between("workers", self.workers, 1, 256)
-        for name in ("intersection", "two_lane_merge", "single_scene_intersection", "cube_cylinder"):
+        for name in SCENARIOS:
             settings = getattr(self, name)
             if name != self.scenario and settings != type(settings)():
                 raise UserError(

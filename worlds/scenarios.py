@@ -10,17 +10,21 @@ from hashnerf.errors import UserError
 from worlds.boxes import Pose
 from worlds.cube_cylinder import CubeCylinderConfig, build_cube_cylinder
 from worlds.intersection import IntersectionConfig, build_intersection
+from worlds.mini_city import MiniCityConfig, build_mini_city
 from worlds.scene import Scene, World
 from worlds.single_scene_intersection import SingleSceneIntersectionConfig, build_single_scene_intersection
 from worlds.two_lane_merge import TwoLaneMergeConfig, build_two_lane_merge
 
-ScenarioConfig = IntersectionConfig | TwoLaneMergeConfig | SingleSceneIntersectionConfig | CubeCylinderConfig
+ScenarioConfig = (
+    MiniCityConfig | IntersectionConfig | TwoLaneMergeConfig | SingleSceneIntersectionConfig | CubeCylinderConfig
+)
 
 _BUILDERS = {
     "intersection": (IntersectionConfig, build_intersection),
     "two_lane_merge": (TwoLaneMergeConfig, build_two_lane_merge),
     "single_scene_intersection": (SingleSceneIntersectionConfig, build_single_scene_intersection),
     "cube_cylinder": (CubeCylinderConfig, build_cube_cylinder),
+    "mini_city": (MiniCityConfig, build_mini_city),
 }
 SCENARIOS = tuple(_BUILDERS)
 

@@ -4,12 +4,13 @@ bodies at given poses. Object ids: 1.. for the static bodies in order, then the 
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from torch import Tensor
 
 from hashnerf.cameras import Cameras
 from worlds.boxes import Box, Pose, box_at
@@ -47,6 +48,8 @@ class Rig:
     cameras: Cameras
     kinds: tuple[str, ...]
     splits: tuple[str, ...]
+    told: Float[Tensor, "n 4 4"] | None = None
+    """Poses as a data set tells them, where they are not exact."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,8 @@ class World:
     """The ego's camera; None where nothing drives."""
     traffic: Traffic | None = None
     """Routes, speeds and conflict zones; None where nothing drives."""
+    extras: Mapping[str, Any] = field(default_factory=dict)
+    """Further top-level entries of the data set's transforms.json."""
 
     @cached_property
     def stage(self) -> LitBodies:

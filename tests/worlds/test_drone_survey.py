@@ -1,0 +1,67 @@
+"""The drone's survey: where it looks, and how far it errs about that."""
+
+import numpy as np
+import pytest
+import torch
+
+from hashnerf.cameras import project
+from hashnerf.errors import UserError
+from worlds.drone_survey import SurveyConfig, disturbed, survey_rig
+from worlds.mini_city_roads import AREA, CENTRE_LINES
+
+
+def rig(seed=0, **settings):
+    return survey_rig(SurveyConfig(**settings), np.random.default_rng(seed))
+
+
+def test_half_look_down_and_all_look_at_the_ground():
+    survey = rig()
+    assert survey.kinds == ("nadir",) * 50 + ("oblique",) * 50
+    down = -survey.cameras.pose[:, 2, 2]
+    assert (down[:50] < -0.99).all()
+    pitch = torch.rad2deg(torch.asin(-down[50:]))
+    assert (pitch > 34).all() and (pitch < 61).all()
+    assert survey.splits.count("test") == 12 and survey.splits.count("train") == 88
+
+
+def test_every_piece_of_road_is_in_many_pictures():
+    survey = rig()
+    points = torch.tensor(np.concatenate(CENTRE_LINES)[::10], dtype=torch.float32)
+    points = torch.cat([points, torch.zeros(len(points), 1)], dim=1)
+    seen = torch.zeros(len(points))
+    for camera in range(100):
+        pixel, _ = project(survey.cameras, torch.full((len(points),), camera), points)
+        seen += ((pixel > 0) & (pixel < torch.tensor([240, 180]))).all(dim=1)
+    assert seen.min() >= 5
+
+
+def test_told_poses_are_rigid_and_as_noisy_as_asked():
+    survey = rig(images=800, position_noise=0.03, angle_noise=2.0)
+    assert survey.told is not None
+    error = survey.told[:, :3, 3] - survey.cameras.pose[:, :3, 3]
+    assert float(error.std()) == pytest.approx(0.03, rel=0.06) and abs(float(error.mean())) < 0.003
+    turn = survey.cameras.pose[:, :3, :3].transpose(1, 2) @ survey.told[:, :3, :3]
+    angle = torch.rad2deg(torch.arccos(((turn.diagonal(dim1=1, dim2=2).sum(1) - 1) / 2).clamp(-1, 1)))
+    # three independent axes of 2 degrees: root mean square 2 sqrt(3)
+    assert float(angle.square().mean().sqrt()) == pytest.approx(2 * 3**0.5, rel=0.06)
+    identity = torch.eye(3).expand(800, 3, 3)
+    assert torch.allclose(survey.told[:, :3, :3] @ survey.told[:, :3, :3].transpose(1, 2), identity, atol=1e-5)
+
+
+def test_without_noise_the_drone_knows_where_it_is():
+    pose = rig().cameras.pose[0]
+    assert torch.allclose(disturbed(pose, 0.0, 0.0, np.random.default_rng(0)), pose)
+
+
+def test_places_follow_the_seed_and_stay_near_the_town():
+    assert torch.equal(rig(4).cameras.pose, rig(4).cameras.pose)
+    assert not torch.equal(rig(4).cameras.pose, rig(5).cameras.pose)
+    position = rig().cameras.pose[:, :3, 3]
+    assert (position[:50, 0] > AREA[0]).all() and (position[:50, 0] < AREA[2]).all()
+    assert (position[:, 2] > 0.9).all() and (position[:, :2].abs() < 10).all()
+
+
+@pytest.mark.parametrize("settings", [{"images": 4}, {"field_of_view": 170.0}, {"angle_noise": -1.0}, {"k1": 1.0}])
+def test_settings_out_of_range_are_refused(settings):
+    with pytest.raises(UserError, match="survey"):
+        SurveyConfig(**settings)
