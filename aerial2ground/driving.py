@@ -1,0 +1,117 @@
+"""Driving in closed loop (IV-D): a policy sees the car's camera, steers, and is put back where it strays.
+
+An *intervention* is a lateral error over `intervention` metres, or a body touched; the car is then put back on the path
+at the nearest place and drives on. Errors are those of the rear axle against the path: lateral distance in metres,
+heading in radians; root mean squares over all moments.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from aerial2ground.car import CarConfig, CarState, advance, footprint
+from aerial2ground.ground_poses import shifted
+from aerial2ground.paths import Path
+from aerial2ground.pure_pursuit import LowPass, PurePursuitConfig
+from hashnerf.errors import UserError
+
+Look = Callable[[CarState], UInt8[np.ndarray, "h w c"]]
+Policy = Callable[[UInt8[np.ndarray, "h w c"], CarState], float]
+Touches = Callable[[Float[np.ndarray, "4 2"]], bool]
+
+
+@dataclass(frozen=True)
+class DriveConfig:
+    """How a policy is tried."""
+
+    laps: int = 2
+    """Laps of a closed path."""
+    tick: float = 0.1
+    """Seconds between pictures, and commands."""
+    motion_ticks: int = 4
+    """Steps of the car's motion per command."""
+    start_lateral: float = 0.06
+    """Largest distance of the start from the path, metres."""
+    start_heading: float = 8.0
+    """Largest error of the first heading, degrees."""
+    intervention: float = 0.175
+    """Lateral error at which somebody intervenes: half a lane, metres."""
+
+    def __post_init__(self):
+        for key in ("laps", "motion_ticks"):
+            if getattr(self, key) < 1:
+                raise UserError(f"drive.{key} is {getattr(self, key)}; give at least 1")
+        for key in ("tick", "intervention"):
+            if not 0 < getattr(self, key) < math.inf:
+                raise UserError(f"drive.{key} is {getattr(self, key)}; give a positive number")
+        for key in ("start_lateral", "start_heading"):
+            if not 0 <= getattr(self, key) < math.inf:
+                raise UserError(f"drive.{key} is {getattr(self, key)}; give 0 or a positive number")
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What happened."""
+
+    lateral: Float[np.ndarray, " moments"]
+    heading: Float[np.ndarray, " moments"]
+    track: Float[np.ndarray, "moments 2"]
+    interventions: int
+
+    @property
+    def position_rmse(self) -> float:
+        """Metres."""
+        return float(np.sqrt(np.mean(self.lateral**2)))
+
+    @property
+    def yaw_rmse(self) -> float:
+        """Degrees."""
+        return float(np.degrees(np.sqrt(np.mean(self.heading**2))))
+
+
+def drive(
+    policy: Policy,
+    look: Look,
+    touches: Touches,
+    path: Path,
+    config: DriveConfig,
+    car: CarConfig,
+    pursuit: PurePursuitConfig,
+    rng: np.random.Generator,
+) -> Drive:
+    """Drives `config.laps` laps from a disturbed start; `look` renders what the camera sees."""
+    state = _start(path, config, pursuit, rng)
+    smooth = LowPass(pursuit.low_pass)
+    lateral, heading, track = [], [], []
+    interventions, travelled, last = 0, 0.0, path.nearest(state.pose[:2])[0]
+    longest = int(3 * config.laps * path.length / (pursuit.speed * config.tick)) + 1
+    for _ in range(longest):
+        command = smooth(policy(look(state), state))
+        for _ in range(config.motion_ticks):
+            state = advance(state, command, pursuit.speed, config.tick / config.motion_ticks, car)
+        s, left = path.nearest(state.pose[:2])
+        error = math.remainder(state.yaw - float(path.poses(np.array([s]))[0, 2]), 2 * math.pi)
+        lateral.append(abs(left))
+        heading.append(error)
+        track.append((state.x, state.y))
+        travelled += math.remainder(s - last, path.length) if path.closed else s - last
+        last = s
+        if abs(left) > config.intervention or touches(footprint(state.pose, car)):
+            interventions += 1
+            x, y, yaw = path.poses(np.array([s]))[0]
+            state = CarState(float(x), float(y), float(yaw), state.speed)
+            smooth = LowPass(pursuit.low_pass)
+        if travelled >= config.laps * path.length - 1e-6 or (not path.closed and s >= path.length - 0.02):
+            break
+    return Drive(np.array(lateral), np.array(heading), np.array(track), interventions)
+
+
+def _start(path: Path, config: DriveConfig, pursuit: PurePursuitConfig, rng: np.random.Generator) -> CarState:
+    place = rng.uniform(0, path.length) if path.closed else 0.0
+    aside = rng.uniform(-1, 1, 1) * config.start_lateral
+    turn = np.radians(rng.uniform(-1, 1, 1) * config.start_heading)
+    x, y, yaw = shifted(path.poses(np.array([place])), aside, turn)[0]
+    return replace(CarState(float(x), float(y), float(yaw)), speed=pursuit.speed)

@@ -1,0 +1,96 @@
+"""How good the radiance field is: held-out drone pictures, corrected poses, and views from the ground.
+
+Test pictures have poses with noise of their own, which no training can correct. They are judged twice: as told, and
+after their poses were aligned to the field by the photometric error alone (as BARF and others do).
+"""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from aerial2ground.car_camera import CarCameraConfig, car_cameras
+from aerial2ground.ground_truth import axis_depth, true_views, view_errors
+from aerial2ground.pose_refinement import PoseCorrections, pose_errors
+from aerial2ground.reconstruction import PictureRays, RoadNerf
+from hashnerf.fit import RayBatch, render_batch
+from hashnerf.metrics import psnr
+from hashnerf.posed_images import PosedImages
+from worlds.scene import World
+
+ALIGN_STEPS, ALIGN_RAYS, ALIGN_RATE = 120, 2048, 0.003
+
+
+def aerial_psnr(nerf: RoadNerf, data: PosedImages, poses: Float[Tensor, "n 4 4"]) -> float:
+    """Returns the mean PSNR (dB) of pictures rendered from `poses`."""
+    cameras = type(data.cameras)(poses, *(getattr(data.cameras, name) for name in _LENS))
+    values = []
+    for index, picture in enumerate(data.images):
+        seen = nerf.view(cameras, index).rgb.view(picture.shape)
+        values.append(psnr(seen, picture.float() / 255))
+    return float(np.mean(values))
+
+
+_LENS = ("focal", "centre", "distortion", "width", "height")
+
+
+def aligned_poses(nerf: RoadNerf, data: PosedImages, seed: int = 0) -> Float[Tensor, "n 4 4"]:
+    """Returns poses whose pictures agree best with the frozen field, found from the told ones."""
+    corrections = PoseCorrections(len(data.images), fixed_gauge=False)
+    optimizer = torch.optim.Adam(corrections.parameters(), lr=ALIGN_RATE)
+    pictures = PictureRays.of(data)
+    for parameter in nerf.parameters():
+        parameter.requires_grad_(False)
+    for step in range(ALIGN_STEPS):
+        generator = torch.Generator().manual_seed(seed * 100_003 + step)
+        number, pixel = pictures.draw(ALIGN_RAYS, generator)
+        rays, colour = pictures.rays(number, pixel, corrections)
+        optimizer.param_groups[0]["lr"] = ALIGN_RATE * (1 - step / ALIGN_STEPS)
+        optimizer.zero_grad()
+        seen = render_batch(nerf.field, RayBatch(rays, colour), nerf.occupancy, nerf.config.march, generator)
+        torch.nn.functional.huber_loss(seen.rgb, colour, delta=0.1).backward()
+        optimizer.step()
+    for parameter in nerf.parameters():
+        parameter.requires_grad_(True)
+    with torch.no_grad():
+        return corrections(data.cameras.pose, torch.arange(len(data.images)))
+
+
+def refined_pose_errors(nerf: RoadNerf, data: PosedImages, truth: Float[Tensor, "n 4 4"]) -> dict:
+    """Returns the root mean square errors of told and corrected training poses, metres and degrees."""
+    with torch.no_grad():
+        refined = nerf.corrections(data.cameras.pose, torch.arange(len(truth)))
+    results = {}
+    for name, poses in (("told", data.cameras.pose), ("refined", refined)):
+        metres, radians = pose_errors(poses, truth)
+        results[f"{name}_m"] = float(metres.square().mean().sqrt())
+        results[f"{name}_deg"] = float(torch.rad2deg(radians.square().mean().sqrt()))
+    return results
+
+
+def ground_errors(
+    nerf: RoadNerf, world: World, camera: CarCameraConfig, poses: Float[np.ndarray, "n 3"]
+) -> tuple[dict, list[tuple[np.ndarray, np.ndarray]]]:
+    """Returns how far views from the ground are from the truth, and (truth, rendered) pictures beside each other."""
+    cameras = car_cameras(camera, torch.from_numpy(poses))
+    truth = true_views(world, cameras)
+    colours, depths, pairs = [], [], []
+    for index, true in enumerate(truth):
+        seen = nerf.view(cameras, index)
+        colour = seen.rgb.view(true.rgb.shape)
+        colours.append(colour)
+        depths.append(axis_depth(cameras, index, seen.median_depth))
+        pairs.append((true.rgb.numpy(), (colour * 255).round().to(torch.uint8).numpy()))
+    return asdict(view_errors(truth, colours, depths)), pairs
+
+
+def true_poses(folder: Path, data: PosedImages) -> Float[Tensor, "n 4 4"]:
+    """Returns the true poses of the pictures of an embedded world's survey, in the order of `data`."""
+    poses = torch.tensor(json.loads((folder / "truth.json").read_text(encoding="utf-8"))["poses"])
+    rows = poses[[frame.camera for frame in data.frames]].clone()
+    rows[:, :3, 3] -= data.origin.float()
+    return rows

@@ -1,0 +1,117 @@
+"""Training the two networks (Alg. 2): steering by L1, pose by L2; Adam 1e-2, 100 epochs.
+
+Pictures are augmented against what differs between the reconstruction and the world: exposure, white balance, noise,
+blur. Poses are standardised by the training set; yaw is told as sine and cosine.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from aerial2ground.networks import NetworkConfig, PictureNetwork
+from hashnerf.errors import UserError
+
+
+@dataclass(frozen=True)
+class AugmentationConfig:
+    """Random changes of training pictures; 0 switches each off."""
+
+    exposure: float = 0.3
+    """Largest change of brightness, as a share."""
+    white_balance: float = 0.1
+    """Largest change of a colour channel, as a share."""
+    gamma: float = 0.2
+    """Largest change of the exponent, as a share."""
+    noise: float = 0.03
+    """Largest standard deviation of pixel noise."""
+    shadow: float = 0.3
+    """Largest darkening of a random half of the picture, as a share."""
+
+    def __post_init__(self):
+        for key in ("exposure", "white_balance", "gamma", "noise", "shadow"):
+            if not 0 <= getattr(self, key) < 1:
+                raise UserError(f"augmentation.{key} is {getattr(self, key)}; give a number from 0 and below 1")
+
+
+@dataclass(frozen=True)
+class TaskConfig:
+    """A network and its training."""
+
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    """Size of the network."""
+    augmentation: AugmentationConfig = field(default_factory=AugmentationConfig)
+    """Changes of training pictures."""
+    epochs: int = 100
+    """Passes over the pictures (paper: 100)."""
+    batch_size: int = 64
+    """Pictures per step."""
+    lr: float = 0.01
+    """First step of Adam (paper: 0.01); it falls to zero along a cosine."""
+
+    def __post_init__(self):
+        for key in ("epochs", "batch_size"):
+            if getattr(self, key) < 1:
+                raise UserError(f"task.{key} is {getattr(self, key)}; give at least 1")
+        if not self.lr > 0:
+            raise UserError(f"task.lr is {self.lr}; give a positive number")
+
+
+def augmented(
+    pictures: Float[Tensor, "n c h w"], config: AugmentationConfig, generator: torch.Generator
+) -> Float[Tensor, "n c h w"]:
+    """Returns changed pictures in [0, 1]; a depth channel stays as it is."""
+    n, _, height, width = pictures.shape
+
+    def uniform(*shape: int) -> Tensor:
+        return torch.rand(*shape, generator=generator) * 2 - 1
+
+    colour = pictures[:, :3].clamp(min=1e-4) ** (1 + config.gamma * uniform(n, 1, 1, 1))
+    colour = colour * (1 + config.exposure * uniform(n, 1, 1, 1)) * (1 + config.white_balance * uniform(n, 3, 1, 1))
+    # a straight edge through the picture, one side of it darker
+    angle = math.pi * uniform(n, 1, 1)
+    rows = torch.linspace(-1, 1, height)[None, :, None]
+    columns = torch.linspace(-1, 1, width)[None, None, :]
+    dark = (angle.cos() * columns + angle.sin() * rows > uniform(n, 1, 1))[:, None]
+    depth = config.shadow * torch.rand(n, 1, 1, 1, generator=generator)
+    colour = torch.where(dark, colour * (1 - depth), colour)
+    sigma = config.noise * torch.rand(n, 1, 1, 1, generator=generator)
+    colour = (colour + sigma * torch.randn(colour.shape, generator=generator)).clamp(0, 1)
+    return torch.cat([colour, pictures[:, 3:]], dim=1)
+
+
+def train_network(
+    config: TaskConfig,
+    pictures: UInt8[Tensor, "n h w c"],
+    targets: Float[Tensor, "n outputs"],
+    loss: str,
+    seed: int,
+) -> PictureNetwork:
+    """Trains a network on pictures (0..255, a fourth channel is depth) and targets; `loss` is `l1` or `l2`."""
+    if len(pictures) < 2:
+        raise UserError(f"{len(pictures)} training pictures are too few: batch normalisation needs two or more")
+    torch.manual_seed(seed)
+    network = PictureNetwork(config.network, pictures.shape[1], pictures.shape[2], targets.shape[1])
+    network.to(memory_format=torch.channels_last)
+    generator = torch.Generator().manual_seed(seed)
+    optimizer = torch.optim.Adam(network.parameters(), lr=config.lr)
+    batches = max(len(pictures) // config.batch_size, 1)
+    error = torch.nn.functional.l1_loss if loss == "l1" else torch.nn.functional.mse_loss
+    steps = config.epochs * batches
+    for epoch in range(config.epochs):
+        order = torch.randperm(len(pictures), generator=generator)
+        for number, rows in enumerate(order.tensor_split(batches)):
+            share = (epoch * batches + number) / steps
+            optimizer.param_groups[0]["lr"] = config.lr * 0.5 * (1 + math.cos(math.pi * share))
+            seen = augmented(as_input(pictures[rows]), config.augmentation, generator)
+            optimizer.zero_grad(set_to_none=True)
+            error(network(seen.contiguous(memory_format=torch.channels_last)), targets[rows]).backward()
+            optimizer.step()
+    return network.eval()
+
+
+def as_input(pictures: UInt8[Tensor, "n h w c"]) -> Float[Tensor, "n c h w"]:
+    """Returns stored pictures as the network reads them."""
+    return pictures.permute(0, 3, 1, 2).float() / 255

@@ -1,0 +1,169 @@
+"""Drone pictures and a road network become a radiance field (aerial2ground III-B, Alg. 1)."""
+
+from dataclasses import dataclass
+from dataclasses import field as option
+from pathlib import Path
+
+import torch
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor, nn
+
+from aerial2ground.pose_refinement import PoseCorrections
+from aerial2ground.road_network import RoadNetwork
+from aerial2ground.road_prior import RoadPriorConfig, draw_prior
+from hashnerf.cameras import Cameras, camera_rays
+from hashnerf.errors import UserError
+from hashnerf.field import Field, FieldConfig
+from hashnerf.fit import FieldFit, FitConfig, RayBatch, fit_field
+from hashnerf.marching import MarchSettings
+from hashnerf.model_files import save_model
+from hashnerf.occupancy import OccupancyConfig, OccupancyGrid
+from hashnerf.posed_images import PosedImages
+from hashnerf.rays import Rays
+from hashnerf.render import Rendering, render_image
+from hashnerf.training_run import TrainingRun
+
+
+@dataclass(frozen=True)
+class ReconstructionConfig:
+    """The radiance field of a town and its training."""
+
+    field: FieldConfig = option(default_factory=lambda: FieldConfig(finest_resolution=512))
+    """Capacity of the field."""
+    occupancy: OccupancyConfig = option(default_factory=lambda: OccupancyConfig(cell=0.06))
+    """The grid that skips empty space."""
+    march: MarchSettings = option(default_factory=lambda: MarchSettings(candidates=128, even_distance=1.0, near=0.02))
+    """How rays are sampled."""
+    fit: FitConfig = option(default_factory=FitConfig)
+    """Optimiser and batch."""
+    road_prior: RoadPriorConfig = option(default_factory=RoadPriorConfig)
+    """What is known of roads."""
+    steps: int = 2000
+    """Training steps (paper: 5000)."""
+    refine_poses: bool = True
+    """Correct the told poses while training."""
+    pose_learning_rate: float = 0.001
+    """First step of the corrections, metres and radians."""
+    save_every: int = 500
+    """Steps between checkpoints."""
+
+    def __post_init__(self):
+        for key in ("steps", "save_every"):
+            if getattr(self, key) < 1:
+                raise UserError(f"reconstruction.{key} is {getattr(self, key)}; give at least 1")
+        if not self.pose_learning_rate > 0:
+            raise UserError(f"reconstruction.pose_learning_rate is {self.pose_learning_rate}; give a positive number")
+
+
+class RoadNerf(nn.Module):
+    """Field, occupancy grid and the corrections of the training cameras' poses."""
+
+    def __init__(self, config: ReconstructionConfig, scene_box: Float[Tensor, "2 3"], cameras: int):
+        super().__init__()
+        self.config = config
+        self.field = Field(config.field, scene_box)
+        self.occupancy = OccupancyGrid(config.occupancy, scene_box)
+        self.corrections = PoseCorrections(cameras)
+
+    @torch.no_grad()
+    def view(self, cameras: Cameras, index: int) -> Rendering:
+        """Returns what a camera sees, rows h*w in row-major order; its matrix and lens are honoured."""
+        return render_image(
+            cameras, index, self.colour_and_density, self.occupancy, self.config.march, self.field.background
+        )
+
+    def colour_and_density(self, positions: Tensor, directions: Tensor, ray_index: Tensor) -> tuple[Tensor, Tensor]:
+        """The field as rendering wants it."""
+        return self.field(positions, directions)
+
+
+@dataclass(frozen=True)
+class PictureRays:
+    """All pixels of some pictures, ready to be drawn from."""
+
+    images: UInt8[Tensor, "n h w 3"]
+    poses: Float[Tensor, "n 4 4"]
+    local: Float[Tensor, "n_or_one pixels 3"]
+    """Directions in the camera's own frame; one row where all lenses are alike."""
+
+    @classmethod
+    def of(cls, data: PosedImages) -> "PictureRays":
+        """Prepares the pictures of a data set."""
+        cameras = data.cameras
+        lens = torch.cat([cameras.focal, cameras.centre, cameras.distortion], dim=1)
+        alike = bool((lens == lens[0]).all())
+        rows = cameras.select([0]) if alike else cameras
+        local = torch.stack([local_directions(rows, index) for index in range(len(rows))])
+        return cls(data.images, cameras.pose, local)
+
+    def draw(self, count: int, generator: torch.Generator) -> tuple[Int[Tensor, " n"], Int[Tensor, " n"]]:
+        """Draws picture numbers and pixels, evenly."""
+        pixels = self.local.shape[1]
+        place = torch.randint(len(self.images) * pixels, (count,), generator=generator)
+        return place // pixels, place % pixels
+
+    def rays(
+        self, number: Int[Tensor, " n"], pixel: Int[Tensor, " n"], corrections: PoseCorrections | None
+    ) -> tuple[Rays, Float[Tensor, "n 3"]]:
+        """Returns the world rays through some pixels, from corrected poses, and their colours."""
+        poses = self.poses[number]
+        if corrections is not None:
+            poses = corrections(poses, number)
+        local = self.local[number if len(self.local) > 1 else torch.zeros_like(number), pixel]
+        directions = (poses[:, :3, :3] @ local[:, :, None])[:, :, 0]
+        colour = self.images.flatten(1, 2)[number, pixel].float() / 255
+        return Rays(poses[:, :3, 3], torch.nn.functional.normalize(directions, dim=1)), colour
+
+
+def local_directions(cameras: Cameras, index: int) -> Float[Tensor, "pixels 3"]:
+    """Returns the unit directions of all pixels of a camera in its own frame."""
+    columns, rows = torch.meshgrid(torch.arange(cameras.width), torch.arange(cameras.height), indexing="xy")
+    pixel = torch.stack([columns, rows], dim=-1).reshape(-1, 2) + 0.5
+    still = Cameras(
+        torch.eye(4)[None],
+        cameras.focal[index : index + 1],
+        cameras.centre[index : index + 1],
+        cameras.distortion[index : index + 1],
+        cameras.width,
+        cameras.height,
+    )
+    return camera_rays(still, torch.zeros(len(pixel), dtype=torch.int64), pixel).directions
+
+
+def train_road_nerf(
+    config: ReconstructionConfig,
+    nerf: RoadNerf,
+    data: PosedImages,
+    network: RoadNetwork | None,
+    folder: Path,
+    record: dict,
+    overwrite: bool = False,
+) -> None:
+    """Trains on the pictures of `data` (training ones only) in a run folder; averaged weights are saved there."""
+    pictures = PictureRays.of(data)
+    prior, refine = config.road_prior, config.refine_poses
+    flying_height = float(data.cameras.pose[:, 2, 3].median()) - (network.height if network else 0.0)
+    further = [{"params": list(nerf.corrections.parameters()), "start": config.pose_learning_rate}] if refine else []
+    fit = FieldFit(nerf.field, nerf.occupancy, config.fit, config.march, config.steps, further=further)
+
+    def draw_batch(step: int, count: int, generator: torch.Generator) -> RayBatch:
+        extra = round(count * prior.share / (1 + prior.share)) if network is not None and prior.used else 0
+        number, pixel = pictures.draw(count - extra, generator)
+        rays, colour = pictures.rays(number, pixel, nerf.corrections if refine else None)
+        if not extra or network is None:
+            return RayBatch(rays, colour)
+        known = draw_prior(network, prior, flying_height, extra, generator)
+        own = len(rays)
+        return RayBatch(
+            Rays(torch.cat([rays.origins, known.rays.origins]), torch.cat([rays.directions, known.rays.directions])),
+            torch.cat([colour, known.rgb]),
+            weight=torch.cat([torch.ones(own), known.weight]),
+            distance=torch.cat([torch.full((own,), torch.nan), known.distance]),
+            empty=known.empty if prior.free_space else None,
+        )
+
+    objects = fit.objects | {"corrections": nerf.corrections}
+    with TrainingRun(folder, record, config.steps, objects, None, config.save_every, overwrite=overwrite) as run:
+        fit_field(fit, draw_batch, lambda step: None, run)
+        with fit.average.applied():
+            save_model(folder, nerf, run)

@@ -1,0 +1,183 @@
+"""The road network: centre lines with a width, a height and a colour, as `road_network` in transforms.json tells them.
+
+    "road_network": {"lines": [[[x, y], ...], ...], "width": m, "height": m (optional, 0),
+                     "colour": [r, g, b] of 0..255, or one such triple per line}
+
+World frame, metres. Lines that form one town meet: the network must be connected.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from hashnerf.errors import UserError
+
+EARTH_RADIUS = 6_371_008.8
+"""Mean radius of the Earth, metres."""
+
+
+@dataclass(frozen=True)
+class RoadNetwork:
+    """Roads of one width; colours are in [0, 1], one per line."""
+
+    lines: tuple[Float[Tensor, "_ 2"], ...]
+    width: float
+    height: float
+    colours: Float[Tensor, "lines 3"]
+
+    @property
+    def length(self) -> float:
+        """Metres of all lines together."""
+        return float(sum(_lengths(line).sum() for line in self.lines))
+
+    def distance(self, points: Float[Tensor, "n 2"]) -> Float[Tensor, " n"]:
+        """Distance of each point to the nearest centre line, metres."""
+        return torch.stack([distance_to_line(line, points) for line in self.lines]).amin(dim=0)
+
+    def sample(self, count: int, generator: torch.Generator) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
+        """Draws points spread evenly over the roads' surfaces; returns them and the colours they should have."""
+        starts, steps, colour = self._pieces()
+        weight = steps.norm(dim=1)
+        piece = torch.multinomial(weight, count, replacement=True, generator=generator)
+        along = torch.rand(count, 1, generator=generator)
+        aside = (torch.rand(count, 1, generator=generator) - 0.5) * self.width
+        step = steps[piece]
+        left = torch.stack([-step[:, 1], step[:, 0]], dim=1) / weight[piece, None]
+        ground = starts[piece] + along * step + aside * left
+        return torch.cat([ground, torch.full((count, 1), self.height)], dim=1), colour[piece]
+
+    def _pieces(self) -> tuple[Tensor, Tensor, Tensor]:
+        starts = torch.cat([line[:-1] for line in self.lines])
+        steps = torch.cat([line[1:] - line[:-1] for line in self.lines])
+        number = torch.cat([torch.full((len(line) - 1,), i) for i, line in enumerate(self.lines)])
+        return starts, steps, self.colours[number]
+
+
+def read_road_network(entry: Any, origin: Float[Tensor, " 3"], source: str) -> RoadNetwork:
+    """Builds the network of a data set's `road_network`; `origin` is what loading subtracted from the poses.
+
+    Raises UserError naming `source` and what is wrong.
+    """
+    if entry is None:
+        raise UserError(f"{source}: has no road_network; draw the roads' centre lines into transforms.json")
+    if not isinstance(entry, Mapping):
+        raise UserError(f"{source}: road_network must be an object with lines, width and colour")
+    unknown = set(entry) - {"lines", "width", "height", "colour"}
+    if unknown:
+        raise UserError(f"{source}: road_network has the unknown key {sorted(unknown)[0]!r}")
+    lines = entry.get("lines")
+    if not isinstance(lines, Sequence) or isinstance(lines, str) or len(lines) == 0:
+        raise UserError(f"{source}: road_network.lines is empty; give at least one centre line")
+    width, height = entry.get("width"), entry.get("height", 0.0)
+    if not _is_number(width) or width <= 0:
+        raise UserError(f"{source}: road_network.width is {width}; give the roads' width in metres")
+    if not _is_number(height):
+        raise UserError(f"{source}: road_network.height is {height}; give the roads' height in metres")
+    tensors = tuple(_line(line, number, source) - origin[:2].float() for number, line in enumerate(lines))
+    colours = _colours(entry.get("colour"), len(lines), source)
+    network = RoadNetwork(tensors, float(width), float(height) - float(origin[2]), colours)
+    apart = _unconnected(network)
+    if apart:
+        raise UserError(
+            f"{source}: road_network.lines[{apart[0]}] meets no other road of the network; "
+            "roads must be connected: extend it, or give it a data set of its own"
+        )
+    return network
+
+
+def distance_to_line(line: Float[Tensor, "m 2"], points: Float[Tensor, "n 2"]) -> Float[Tensor, " n"]:
+    """Distance of each point to a polyline."""
+    step = line[1:] - line[:-1]
+    offset = points[:, None] - line[None, :-1]
+    share = ((offset * step).sum(dim=-1) / step.square().sum(dim=-1)).clamp(0, 1)
+    return (offset - share[..., None] * step).norm(dim=-1).amin(dim=1)
+
+
+def network_from_geojson(path: Path, width: float, colour: Sequence[int]) -> tuple[dict, tuple[float, float]]:
+    """Returns a `road_network` entry of a GeoJSON file's lines, and the longitude and latitude of its origin.
+
+    Positions become metres east and north of the middle of all points (equirectangular: good to a few centimetres over
+    a kilometre). Raises UserError for a file without lines.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: cannot be read as GeoJSON ({error})") from error
+    lines = [line for line in _geojson_lines(document) if len(line) >= 2]
+    if not lines:
+        raise UserError(f"{path}: holds no LineString; export the roads' centre lines as lines")
+    points = [point for line in lines for point in line]
+    if not all(len(p) >= 2 and _is_number(p[0]) and abs(p[0]) <= 180 and abs(p[1]) <= 90 for p in points):
+        raise UserError(f"{path}: coordinates must be longitude and latitude in degrees (WGS 84)")
+    east, north = (sum(p[axis] for p in points) / len(points) for axis in (0, 1))
+    metre = math.radians(1.0) * EARTH_RADIUS
+    scale = (metre * math.cos(math.radians(north)), metre)
+    flat = [[[(p[0] - east) * scale[0], (p[1] - north) * scale[1]] for p in line] for line in lines]
+    return {"lines": flat, "width": width, "height": 0.0, "colour": list(colour)}, (east, north)
+
+
+def _geojson_lines(entry: Any) -> list[list]:
+    if not isinstance(entry, dict):
+        return []
+    if entry.get("type") == "FeatureCollection":
+        return [line for feature in entry.get("features", []) for line in _geojson_lines(feature)]
+    if entry.get("type") == "Feature":
+        return _geojson_lines(entry.get("geometry"))
+    if entry.get("type") == "LineString":
+        return [entry.get("coordinates", [])]
+    if entry.get("type") == "MultiLineString":
+        return list(entry.get("coordinates", []))
+    return []
+
+
+def _line(line: Any, number: int, source: str) -> Float[Tensor, "_ 2"]:
+    good = isinstance(line, Sequence) and not isinstance(line, str) and len(line) >= 2
+    if not good or not all(isinstance(p, Sequence) and len(p) == 2 and all(map(_is_number, p)) for p in line):
+        raise UserError(f"{source}: road_network.lines[{number}] must be two or more points [x, y] in metres")
+    points = torch.tensor(line, dtype=torch.float64)
+    keep = torch.cat([torch.tensor([True]), (points[1:] - points[:-1]).norm(dim=1) > 1e-9])
+    if int(keep.sum()) < 2:
+        raise UserError(f"{source}: road_network.lines[{number}] has no length")
+    return points[keep].float()
+
+
+def _colours(colour: Any, count: int, source: str) -> Float[Tensor, "lines 3"]:
+    rows = colour if isinstance(colour, Sequence) and colour and isinstance(colour[0], Sequence) else [colour] * count
+    good = len(rows) == count and all(
+        isinstance(row, Sequence) and len(row) == 3 and all(_is_number(c) and 0 <= c <= 255 for c in row)
+        for row in rows
+    )
+    if not good:
+        raise UserError(
+            f"{source}: road_network.colour must be [r, g, b] of 0 to 255, or one such triple per line ({count})"
+        )
+    return torch.tensor(rows, dtype=torch.float32) / 255
+
+
+def _unconnected(network: RoadNetwork) -> list[int]:
+    """Numbers of the lines that cannot be reached from the first one over touching roads."""
+    reached, open_ = {0}, [0]
+    while open_:
+        line = network.lines[open_.pop()]
+        for other in set(range(len(network.lines))) - reached:
+            points = network.lines[other]
+            gap = min(distance_to_line(line, points).min(), distance_to_line(points, line).min())
+            if float(gap) <= network.width:
+                reached.add(other)
+                open_.append(other)
+    return sorted(set(range(len(network.lines))) - reached)
+
+
+def _lengths(line: Tensor) -> Tensor:
+    return (line[1:] - line[:-1]).norm(dim=1)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

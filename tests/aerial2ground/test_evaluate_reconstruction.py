@@ -1,0 +1,61 @@
+"""Measures of a reconstruction against the truth that the embedded town gives."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from aerial2ground.evaluate_reconstruction import (
+    aerial_psnr,
+    aligned_poses,
+    ground_errors,
+    refined_pose_errors,
+    true_poses,
+)
+from aerial2ground.stages import load_nerf, load_survey
+from worlds.scenarios import world_from_description
+
+
+@pytest.fixture
+def trained(tiny_run):
+    survey = load_survey(tiny_run)
+    return tiny_run, survey, load_nerf(tiny_run, survey)[0]
+
+
+def test_poses_of_held_out_pictures_are_found_again(trained):
+    _, survey, nerf = trained
+    test = survey.test
+    wrong = test.cameras.pose.clone()
+    wrong[:, :2, 3] += 0.15
+    moved = replace(test, cameras=replace(test.cameras, pose=wrong))
+    aligned = aligned_poses(nerf, moved)
+    told, before, after = (aerial_psnr(nerf, test, poses) for poses in (test.cameras.pose, wrong, aligned))
+    assert before < told and after > before + 0.3 * (told - before)
+    assert all(parameter.requires_grad for parameter in nerf.parameters())
+
+
+def test_told_poses_are_as_wrong_as_the_survey_made_them(trained):
+    config, survey, nerf = trained
+    truth = true_poses(Path(config.dataset), survey.train)
+    errors = refined_pose_errors(nerf, survey.train, truth)
+    # 3 mm and 0.2 degrees on each of three axes
+    assert errors["told_m"] == pytest.approx(0.003 * 3**0.5, rel=0.3)
+    assert errors["told_deg"] == pytest.approx(0.2 * 3**0.5, rel=0.3)
+    assert set(errors) == {"told_m", "told_deg", "refined_m", "refined_deg"}
+
+
+def test_ground_views_are_compared_with_the_town(trained):
+    config, survey, nerf = trained
+    world = world_from_description(survey.data.extras["world"])
+    path = survey.trajectories["outer_loop"]
+    errors, pairs = ground_errors(nerf, world, config.camera, path.poses(np.array([1.0, 4.0])))
+    assert len(pairs) == 2 and pairs[0][0].shape == pairs[0][1].shape == (18, 32, 3)
+    assert 5 < errors["psnr_db"] < 40 and errors["road_depth_rmse_m"] is not None
+
+
+def test_the_truth_follows_the_pictures(trained):
+    config, survey, _ = trained
+    rows = true_poses(Path(config.dataset), survey.test)
+    assert torch.allclose(rows[:, :3, 3], survey.test.cameras.pose[:, :3, 3], atol=0.02)

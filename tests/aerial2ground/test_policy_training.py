@@ -1,0 +1,61 @@
+"""Training of the networks: they learn, repeat with the seed, and see changed pictures."""
+
+import pytest
+import torch
+
+from aerial2ground.policy_training import AugmentationConfig, TaskConfig, as_input, augmented, train_network
+from hashnerf.errors import UserError
+
+
+def bright_side(count: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Pictures with a white bar, and where it is."""
+    generator = torch.Generator().manual_seed(seed)
+    place = torch.randint(2, 30, (count,), generator=generator)
+    pictures = torch.full((count, 24, 32, 3), 60, dtype=torch.uint8)
+    for picture, column in zip(pictures, place.tolist()):
+        picture[:, column - 1 : column + 2] = 220
+    return pictures, (place.float() / 16 - 1)[:, None]
+
+
+@pytest.mark.parametrize("loss", ["l1", "l2"])
+def test_a_network_learns_where_a_bar_is(loss):
+    config = TaskConfig(epochs=30, batch_size=32, augmentation=AugmentationConfig(shadow=0.1))
+    network = train_network(config, *bright_side(256, 0), loss, seed=0)
+    pictures, place = bright_side(64, 1)
+    with torch.no_grad():
+        error = (network(as_input(pictures)) - place).abs().mean()
+    assert float(error) < 0.12
+
+
+def test_training_repeats_with_the_seed():
+    config = TaskConfig(epochs=2, batch_size=16)
+    one, two, other = (train_network(config, *bright_side(32, 0), "l1", seed) for seed in (0, 0, 1))
+    assert all(torch.equal(a, b) for a, b in zip(one.state_dict().values(), two.state_dict().values()))
+    assert any(not torch.equal(a, b) for a, b in zip(one.state_dict().values(), other.state_dict().values()))
+
+
+def test_augmentation_keeps_the_range_and_the_depth():
+    pictures = torch.rand(16, 4, 20, 24, generator=torch.Generator().manual_seed(0))
+    changed = augmented(pictures, AugmentationConfig(), torch.Generator().manual_seed(1))
+    assert (changed >= 0).all() and (changed <= 1).all()
+    assert torch.equal(changed[:, 3:], pictures[:, 3:]) and not torch.allclose(changed[:, :3], pictures[:, :3])
+    off = AugmentationConfig(0.0, 0.0, 0.0, 0.0, 0.0)
+    assert torch.allclose(augmented(pictures, off, torch.Generator()), pictures, atol=1e-4)
+
+
+def test_one_picture_is_too_few():
+    with pytest.raises(UserError, match="1 training pictures are too few"):
+        train_network(TaskConfig(), *bright_side(1, 0), "l1", 0)
+
+
+@pytest.mark.parametrize(
+    "build, key",
+    [
+        (lambda: TaskConfig(epochs=0), "task.epochs"),
+        (lambda: TaskConfig(lr=0.0), "task.lr"),
+        (lambda: AugmentationConfig(noise=1.0), "augmentation.noise"),
+    ],
+)
+def test_bad_settings_are_named(build, key):
+    with pytest.raises(UserError, match=key):
+        build()

@@ -1,0 +1,78 @@
+"""The reconstruction: rays of pictures as cameras make them, and a training that learns and corrects poses."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from aerial2ground.pose_refinement import PoseCorrections
+from aerial2ground.reconstruction import PictureRays, ReconstructionConfig, local_directions
+from aerial2ground.stages import load_nerf, load_survey, new_nerf, run_reconstruction
+from hashnerf.cameras import camera_rays
+from hashnerf.errors import UserError
+
+
+def test_rays_equal_those_of_the_cameras(tiny_run):
+    data = load_survey(tiny_run).train
+    pictures = PictureRays.of(data)
+    number, pixel = pictures.draw(500, torch.Generator().manual_seed(0))
+    rays, colour = pictures.rays(number, pixel, None)
+    row, column = pixel // data.cameras.width, pixel % data.cameras.width
+    expected = camera_rays(data.cameras, number, torch.stack([column, row], dim=1) + 0.5)
+    assert torch.allclose(rays.directions, expected.directions, atol=1e-5)
+    assert torch.equal(rays.origins, expected.origins)
+    assert torch.equal(colour, data.images[number, row, column].float() / 255)
+
+
+def test_lenses_may_differ(tiny_run):
+    data = load_survey(tiny_run).train
+    focal = data.cameras.focal * torch.linspace(1, 1.2, len(data))[:, None]
+    data = replace(data, cameras=replace(data.cameras, focal=focal))
+    pictures = PictureRays.of(data)
+    assert len(pictures.local) == len(data) and not torch.allclose(pictures.local[0], pictures.local[-1])
+    assert torch.allclose(pictures.local[3], local_directions(data.cameras, 3))
+
+
+def test_corrected_poses_move_the_rays_and_have_gradients(tiny_run):
+    data = load_survey(tiny_run).train
+    pictures, corrections = PictureRays.of(data), PoseCorrections(len(data))
+    number, pixel = torch.tensor([0, 1]), torch.tensor([5, 9])
+    rays, _ = pictures.rays(number, pixel, corrections)
+    (rays.origins.sum() + (rays.directions * torch.tensor([1.0, 2.0, 3.0])).sum()).backward()
+    assert corrections.translation.grad.abs().max() > 0 and corrections.rotation.grad.abs().max() > 0
+
+
+def test_training_learns_and_corrects_poses(tiny_run):
+    survey = load_survey(tiny_run)
+    nerf, cost = load_nerf(tiny_run, survey)
+    fresh = new_nerf(tiny_run, survey.data.scene_box, len(survey.train))
+
+    def error(one) -> float:
+        seen = one.view(survey.test.cameras, 0).rgb
+        return float((seen - survey.test.images[0].view(-1, 3).float() / 255).square().mean())
+
+    assert error(nerf) < 0.6 * error(fresh)
+    assert nerf.corrections.translation.abs().max() > 0 and cost["seconds"] > 0
+
+
+def test_told_poses_can_be_kept(tiny_run):
+    config = replace(
+        tiny_run, name="kept", reconstruction=replace(tiny_run.reconstruction, refine_poses=False, steps=3)
+    )
+    run_reconstruction(config)
+    nerf, _ = load_nerf(config, load_survey(config))
+    assert not nerf.corrections.translation.any() and not nerf.corrections.rotation.any()
+
+
+def test_a_finished_training_is_left_alone_and_another_config_refused(tiny_run, capsys):
+    run_reconstruction(tiny_run)
+    assert "already finished" in "".join(capsys.readouterr())
+    other = replace(tiny_run, reconstruction=replace(tiny_run.reconstruction, pose_learning_rate=0.5))
+    with pytest.raises(UserError, match="pose_learning_rate"):
+        run_reconstruction(other)
+
+
+@pytest.mark.parametrize("changes", [{"steps": 0}, {"save_every": 0}, {"pose_learning_rate": 0.0}])
+def test_bad_settings_are_named(changes):
+    with pytest.raises(UserError, match="reconstruction"):
+        ReconstructionConfig(**changes)

@@ -1,0 +1,99 @@
+"""The road network: points on it, distances to it, and what is refused."""
+
+import json
+import math
+
+import pytest
+import torch
+
+from aerial2ground.road_network import EARTH_RADIUS, distance_to_line, network_from_geojson, read_road_network
+from hashnerf.errors import UserError
+
+HERE = torch.zeros(3, dtype=torch.float64)
+ENTRY = {"lines": [[[0, 0], [4, 0]], [[4, 0], [4, 2]]], "width": 1.0, "height": 0.5, "colour": [51, 102, 255]}
+
+
+def network(**changes):
+    return read_road_network(ENTRY | changes, HERE, "town/transforms.json")
+
+
+def test_a_network_as_told():
+    roads = network()
+    assert roads.length == 6.0 and roads.width == 1.0 and roads.height == 0.5
+    assert roads.colours.tolist() == [pytest.approx([0.2, 0.4, 1.0])] * 2
+    assert network(colour=[[0, 0, 0], [255, 255, 255]]).colours.tolist() == [[0, 0, 0], [1, 1, 1]]
+
+
+def test_loading_moves_it_with_the_poses():
+    moved = read_road_network(ENTRY, torch.tensor([10.0, 20.0, 0.5], dtype=torch.float64), "x")
+    assert moved.lines[0].tolist() == [[-10, -20], [-6, -20]] and moved.height == 0.0
+
+
+def test_points_lie_on_roads_evenly_and_know_their_colour():
+    roads = network(colour=[[0, 0, 0], [255, 255, 255]])
+    points, colour = roads.sample(6000, torch.Generator().manual_seed(0))
+    assert (roads.distance(points[:, :2]) <= 0.5 + 1e-6).all() and (points[:, 2] == 0.5).all()
+    assert float(colour[:, 0].mean()) == pytest.approx(2 / 6, abs=0.03), "the second road is 2 of 6 metres"
+    assert float(points[colour[:, 0] == 0, 0].mean()) == pytest.approx(2.0, abs=0.1)
+    again, _ = roads.sample(6000, torch.Generator().manual_seed(0))
+    assert torch.equal(points, again)
+
+
+def test_distances_by_hand():
+    points = torch.tensor([[1.0, 3.0], [-3.0, 4.0], [2.0, 0.0]])
+    assert distance_to_line(torch.tensor([[0.0, 0.0], [4.0, 0.0]]), points).tolist() == [3.0, 5.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    "changes, sentence",
+    [
+        ({"lines": []}, "road_network.lines is empty"),
+        ({"lines": "abc"}, "road_network.lines is empty"),
+        ({"lines": [[[0, 0]]]}, "lines[0] must be two or more points"),
+        ({"lines": [[[0, 0], [1, math.nan]]]}, "lines[0] must be two or more points"),
+        ({"lines": [[[0, 0], [0, 0]]]}, "lines[0] has no length"),
+        ({"lines": [[[0, 0], [4, 0]], [[0, 9], [4, 9]]]}, "lines[1] meets no other road"),
+        ({"width": 0}, "road_network.width is 0"),
+        ({"height": "low"}, "road_network.height is low"),
+        ({"colour": [0, 0]}, "road_network.colour must be"),
+        ({"colour": [0, 0, 300]}, "road_network.colour must be"),
+        ({"color": [0, 0, 0]}, "unknown key 'color'"),
+    ],
+)
+def test_a_bad_network_is_named(changes, sentence):
+    with pytest.raises(UserError) as caught:
+        network(**changes)
+    assert sentence in str(caught.value) and str(caught.value).startswith("town/transforms.json: ")
+
+
+def test_no_network_at_all():
+    with pytest.raises(UserError, match="has no road_network; draw"):
+        read_road_network(None, HERE, "x")
+
+
+def test_geojson_becomes_metres(tmp_path):
+    file = tmp_path / "roads.geojson"
+    line = {"type": "LineString", "coordinates": [[10.0, 60.0], [10.002, 60.0], [10.002, 60.001]]}
+    feature = {"type": "Feature", "geometry": line, "properties": {}}
+    file.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    entry, (east, north) = network_from_geojson(file, 5.0, [90, 90, 90])
+    roads = read_road_network(entry, HERE, "x")
+    degree = math.radians(1) * EARTH_RADIUS
+    expected = 0.002 * degree * math.cos(math.radians(north)) + 0.001 * degree
+    assert roads.length == pytest.approx(expected, rel=1e-4) and east == pytest.approx(10.0013333)
+    assert entry["lines"][0][1][0] > entry["lines"][0][0][0], "east is +x"
+
+
+@pytest.mark.parametrize(
+    "text, sentence",
+    [
+        ("not json", "cannot be read as GeoJSON"),
+        ('{"type": "Point", "coordinates": [1, 2]}', "holds no LineString"),
+        ('{"type": "LineString", "coordinates": [[500000, 10], [500001, 10]]}', "longitude and latitude in degrees"),
+    ],
+)
+def test_a_bad_geojson_is_named(tmp_path, text, sentence):
+    file = tmp_path / "roads.geojson"
+    file.write_text(text)
+    with pytest.raises(UserError, match=sentence):
+        network_from_geojson(file, 5.0, [90, 90, 90])
