@@ -11,18 +11,52 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float
+from PIL import Image
 from torch import Tensor
 
 from aerial2ground.car_camera import CarCameraConfig, car_cameras
+from aerial2ground.config import AerialConfig
 from aerial2ground.ground_truth import axis_depth, true_views, view_errors
 from aerial2ground.pose_refinement import PoseCorrections, pose_errors
 from aerial2ground.reconstruction import PictureRays, RoadNerf
+from aerial2ground.stages import load_nerf, load_survey
 from hashnerf.fit import RayBatch, render_batch
 from hashnerf.metrics import psnr
 from hashnerf.posed_images import PosedImages
+from hashnerf.transforms_json import write_atomically
+from worlds.scenarios import world_from_description
 from worlds.scene import World
 
 ALIGN_STEPS, ALIGN_RAYS, ALIGN_RATE = 120, 2048, 0.003
+GROUND_VIEWS = 12
+"""Views from the ground per trajectory."""
+
+
+def evaluate_run(config: AerialConfig) -> dict:
+    """Measures a run's radiance field and writes reconstruction.json; returns what it wrote.
+
+    With an embedded world behind the data set also the poses and the views from the ground, and ground_views.png: the
+    truth above, the view of the field below.
+    """
+    survey = load_survey(config)
+    nerf, cost = load_nerf(config, survey)
+    test, train, folder = survey.test, survey.train, Path(config.dataset)
+    results: dict = {"seconds": cost["seconds"], "test_pictures": len(test)}
+    if len(test):
+        results["aerial_psnr_db"] = aerial_psnr(nerf, test, test.cameras.pose)
+        results["aerial_psnr_aligned_db"] = aerial_psnr(nerf, test, aligned_poses(nerf, test, config.seed))
+    if (folder / "truth.json").is_file():
+        results["poses"] = refined_pose_errors(nerf, train, true_poses(folder, train))
+    if survey.data.extras.get("world") is not None and not survey.data.origin.any():
+        world = world_from_description(survey.data.extras["world"])
+        places = [
+            path.poses(np.arange(GROUND_VIEWS) / GROUND_VIEWS * path.length) for path in survey.trajectories.values()
+        ]
+        results["ground"], pairs = ground_errors(nerf, world, config.camera, np.concatenate(places))
+        strip = [np.concatenate([np.concatenate(pair) for pair in pairs[start::GROUND_VIEWS]], 1) for start in range(3)]
+        Image.fromarray(np.concatenate(strip)).save(config.folder / "ground_views.png")
+    write_atomically(config.folder / "reconstruction.json", json.dumps(results, indent=1, allow_nan=False).encode())
+    return results
 
 
 def aerial_psnr(nerf: RoadNerf, data: PosedImages, poses: Float[Tensor, "n 4 4"]) -> float:

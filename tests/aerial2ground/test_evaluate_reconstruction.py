@@ -1,15 +1,19 @@
 """Measures of a reconstruction against the truth that the embedded town gives."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
+from aerial2ground import evaluate_reconstruction as module
 from aerial2ground.evaluate_reconstruction import (
     aerial_psnr,
     aligned_poses,
+    evaluate_run,
     ground_errors,
     refined_pose_errors,
     true_poses,
@@ -59,3 +63,13 @@ def test_the_truth_follows_the_pictures(trained):
     config, survey, _ = trained
     rows = true_poses(Path(config.dataset), survey.test)
     assert torch.allclose(rows[:, :3, 3], survey.test.cameras.pose[:, :3, 3], atol=0.02)
+
+
+def test_a_run_is_measured_into_its_folder(tiny_run, monkeypatch):
+    monkeypatch.setattr(module, "GROUND_VIEWS", 3)
+    monkeypatch.setattr(module, "ALIGN_STEPS", 2)
+    results = evaluate_run(tiny_run)
+    assert json.loads((tiny_run.folder / "reconstruction.json").read_text()) == results
+    assert results["test_pictures"] == 2 and results["aerial_psnr_db"] > 10
+    assert results["poses"]["told_m"] > 0 and results["ground"]["road_psnr_db"] > 5
+    assert Image.open(tiny_run.folder / "ground_views.png").size == (3 * 32, 3 * 36)
