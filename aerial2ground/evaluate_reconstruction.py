@@ -49,12 +49,12 @@ def evaluate_run(config: AerialConfig) -> dict:
         results["poses"] = refined_pose_errors(nerf, train, true_poses(folder, train))
     if survey.data.extras.get("world") is not None and not survey.data.origin.any():
         world = world_from_description(survey.data.extras["world"])
-        places = [
-            path.poses(np.arange(GROUND_VIEWS) / GROUND_VIEWS * path.length) for path in survey.trajectories.values()
-        ]
+        shares = np.arange(GROUND_VIEWS) / GROUND_VIEWS
+        places = [path.poses(shares * path.length) for path in survey.trajectories.values()]
         results["ground"], pairs = ground_errors(nerf, world, config.camera, np.concatenate(places))
-        strip = [np.concatenate([np.concatenate(pair) for pair in pairs[start::GROUND_VIEWS]], 1) for start in range(3)]
-        Image.fromarray(np.concatenate(strip)).save(config.folder / "ground_views.png")
+        rows = [pairs[start::GROUND_VIEWS] for start in range(0, GROUND_VIEWS, max(GROUND_VIEWS // 3, 1))]
+        strips = [np.concatenate([np.concatenate(pair) for pair in row], axis=1) for row in rows]
+        Image.fromarray(np.concatenate(strips)).save(config.folder / "ground_views.png")
     write_atomically(config.folder / "reconstruction.json", json.dumps(results, indent=1, allow_nan=False).encode())
     return results
 
