@@ -5,7 +5,7 @@ after their poses were aligned to the field by the photometric error alone (as B
 """
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -61,15 +61,12 @@ def evaluate_run(config: AerialConfig) -> dict:
 
 def aerial_psnr(nerf: RoadNerf, data: PosedImages, poses: Float[Tensor, "n 4 4"]) -> float:
     """Returns the mean PSNR (dB) of pictures rendered from `poses`."""
-    cameras = type(data.cameras)(poses, *(getattr(data.cameras, name) for name in _LENS))
+    cameras = replace(data.cameras, pose=poses)
     values = []
     for index, picture in enumerate(data.images):
         seen = nerf.view(cameras, index).rgb.view(picture.shape)
         values.append(psnr(seen, picture.float() / 255))
     return float(np.mean(values))
-
-
-_LENS = ("focal", "centre", "distortion", "width", "height")
 
 
 def aligned_poses(nerf: RoadNerf, data: PosedImages, seed: int = 0) -> Float[Tensor, "n 4 4"]:

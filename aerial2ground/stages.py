@@ -3,7 +3,6 @@
 runs/<name>/{config.yaml, reconstruction/, ground/<trajectory>/, policies/<trajectory>/, driving.json}.
 """
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
@@ -26,7 +25,7 @@ from aerial2ground.road_network import RoadNetwork, read_road_network
 from aerial2ground.trajectories import read_trajectories
 from hashnerf.cameras import Cameras, project
 from hashnerf.checkpoints import load_checkpoint, load_module_state, module_tensors, save_checkpoint
-from hashnerf.command_line import plain_config, save_config, set_threads
+from hashnerf.command_line import plain_config, save_config, set_threads, usable_cores
 from hashnerf.errors import UserError
 from hashnerf.model_files import load_model
 from hashnerf.posed_images import PosedImages, load_posed_images
@@ -212,8 +211,3 @@ def load_network(folder: FilePath, config: NetworkConfig) -> PictureNetwork:
     network = PictureNetwork(config, about["height"], about["width"], about["outputs"])
     load_module_state(network, tensors, "network")
     return network.eval()
-
-
-def usable_cores() -> int:
-    """Returns the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -4,7 +4,6 @@ All episodes of a policy advance together, so that pictures are encoded and futu
 drives and their numbers to one command each: True for go. Policies that do not look are functions of the drive alone.
 """
 
-import os
 import signal
 import time
 from collections.abc import Callable
@@ -34,6 +33,7 @@ from carff.model import CarffModel, load_carff
 from carff.planner import PlannerConfig
 from carff.planning_metrics import ALWAYS_GO, ALWAYS_STOP, ApproachPoint, Episode
 from carff.state_memory import StateMemory, state_transitions
+from hashnerf.command_line import usable_cores
 from hashnerf.errors import UserError
 from worlds.scenarios import world_from_description
 from worlds.scene import World
@@ -159,11 +159,6 @@ def undrivable(world: World) -> str:
     if min(speed for (_, name), speed in world.traffic.speeds.items() if name == "ego") <= 0:
         return f"the ego stands still in {world.scenario}: it has no crossing to decide about"
     return ""
-
-
-def usable_cores() -> int:
-    """Returns the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _start_worker() -> None:

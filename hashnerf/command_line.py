@@ -144,8 +144,12 @@ def set_threads(count: int) -> None:
 
     if count < 0:
         raise UserError(f"threads = {count} is negative; give 0 for all cores or the number of threads to use.")
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    torch.set_num_threads(count or usable or 1)
+    torch.set_num_threads(count or usable_cores())
+
+
+def usable_cores() -> int:
+    """The number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def nearest(word: str, known: Sequence[str]) -> str:

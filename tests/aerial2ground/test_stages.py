@@ -5,7 +5,6 @@ import shutil
 from dataclasses import replace
 
 import pytest
-import torch
 
 from aerial2ground.ground_views import load_views
 from aerial2ground.pure_pursuit import PurePursuitConfig
@@ -16,7 +15,6 @@ from aerial2ground.stages import (
     run_ground_views,
     run_policies,
     unseen_road,
-    usable_cores,
 )
 from hashnerf.errors import UserError
 
@@ -98,7 +96,3 @@ def test_photographs_cannot_be_driven_in(edited):
     run_policies(config)
     with pytest.raises(UserError, match="not rendered from an embedded world"):
         run_driving(config, [0])
-
-
-def test_there_is_a_core():
-    assert usable_cores() >= 1 and torch.get_num_threads() >= 1

@@ -13,10 +13,9 @@ from carff.closed_loop import (
     drive_episodes,
     drive_run,
     undrivable,
-    usable_cores,
 )
 from carff.closed_loop_file import load_closed_loop
-from carff.driving import Drive, DrivingConfig, Setup, begin, can_stop, draw_setup, stop_matters
+from carff.driving import Drive, DrivingConfig, Setup, begin, draw_setup, stop_matters
 from carff.planner import PlannerConfig, decide
 from carff.planning_metrics import ApproachPoint
 from carff.state_memory import StateMemory
@@ -181,8 +180,3 @@ def test_photographs_cannot_be_driven_in(tiny_evaluation, monkeypatch):
     monkeypatch.setattr(module, "load_carff", lambda folder: tiny_evaluation.model)
     with pytest.raises(UserError, match="not rendered from an embedded world"):
         drive_run(tiny_evaluation.config.folder, 1, 1, CONFIG, 0)
-
-
-def test_there_is_a_core():
-    assert usable_cores() >= 1
-    assert can_stop(WORLD, begin(setups(1)[0]), CONFIG)

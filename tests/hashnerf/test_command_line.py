@@ -1,5 +1,6 @@
 """Configs from YAML layers and arguments: what is accepted, and the one sentence for everything that is not."""
 
+import os
 import subprocess
 import sys
 from dataclasses import dataclass, field
@@ -20,6 +21,7 @@ from hashnerf.command_line import (
     run_main,
     save_config,
     set_threads,
+    usable_cores,
 )
 from hashnerf.errors import UserError
 
@@ -304,3 +306,7 @@ def test_threads():
         torch.set_num_threads(before)
     with pytest.raises(UserError, match="threads = -1"):
         set_threads(-1)
+
+
+def test_there_is_a_core():
+    assert 1 <= usable_cores() <= (os.cpu_count() or 1)
