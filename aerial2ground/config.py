@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 from aerial2ground.car import CarConfig
 from aerial2ground.car_camera import CarCameraConfig
@@ -27,8 +26,6 @@ class AerialConfig:
     """Width to which pictures are reduced; 0 keeps them."""
     seed: int = 0
     """Seed of everything random."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to compute."""
     threads: int = 0
     """Processor threads; 0 uses all cores."""
     overwrite: bool = False

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
 
-from aerial2ground.car import CarState
+from aerial2ground.car import CarConfig, CarState
 from aerial2ground.car_camera import CarCameraConfig, car_cameras
 from aerial2ground.ground_truth import FLAT
 from worlds.camera_effects import CameraEffects, photographed
@@ -34,11 +34,11 @@ class DeploymentConfig:
 class Deployment:
     """The town as the car meets it."""
 
-    def __init__(self, town: World, config: DeploymentConfig, camera: CarCameraConfig, seed: int):
+    def __init__(self, town: World, config: DeploymentConfig, camera: CarCameraConfig, car: CarConfig, seed: int):
         assert isinstance(town.config, MiniCityConfig)
         changed = replace(town.config, light=config.light, displacement=config.displacement)
         self.world = build_mini_city(changed, town.seed)
-        self.config, self.camera = config, camera
+        self.config, self.camera, self.car = config, camera, car
         self.rng = np.random.default_rng(seed)
         self.scene = Scene(self.world, {})
         self.obstacles = _standing(self.world)
@@ -48,7 +48,7 @@ class Deployment:
         cameras = car_cameras(self.camera, torch.tensor([[state.x, state.y, state.yaw]], dtype=torch.float64))
         rgb = self.scene.render(cameras).rgb
         # a turn by d radians moves the middle of the picture by focal * d pixels
-        rate = state.speed * math.tan(state.steering) / 0.33
+        rate = state.speed * math.tan(state.steering) / self.car.wheelbase
         return photographed(rgb, self.config.camera, float(cameras.focal[0, 0]) * rate, self.rng)
 
     def touches(self, corners: Float[np.ndarray, "4 2"]) -> bool:

@@ -58,7 +58,7 @@ class _Runner:
 
     def __call__(self, trial: Trial) -> Drive:
         config, (east, north) = self.config, self.origin
-        town = Deployment(self.town, config.deployment, config.camera, trial.seed)
+        town = Deployment(self.town, config.deployment, config.camera, config.car, trial.seed)
         limit = config.car.steering_limit
         policy = (
             expert_policy(trial.path, config.pure_pursuit)

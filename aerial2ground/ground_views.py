@@ -5,8 +5,6 @@ The folder is a posed-image data set like any other (transforms.json, images/, d
 again, so an interrupted call continues.
 """
 
-import io
-import json
 import multiprocessing
 import signal
 from collections.abc import Callable, Iterator
@@ -17,7 +15,6 @@ from pathlib import Path as FilePath
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
-from PIL import Image
 from torch import Tensor
 
 from aerial2ground.car_camera import CarCameraConfig, car_cameras
@@ -26,7 +23,8 @@ from aerial2ground.ground_truth import axis_depth
 from aerial2ground.reconstruction import RoadNerf
 from hashnerf.cameras import Cameras
 from hashnerf.errors import UserError
-from hashnerf.transforms_json import write_atomically, write_transforms
+from hashnerf.image_files import read_depth, read_rgb, resolve_inside, write_png
+from hashnerf.transforms_json import read_transforms, write_transforms
 
 Picture = tuple[UInt8[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]
 Renderer = Callable[[Cameras, int], Picture]
@@ -113,13 +111,14 @@ def load_views(folder: FilePath) -> GroundViews:
     path = folder / "transforms.json"
     if not path.is_file():
         raise UserError(f"{folder}: no ground views here; run scripts/make_ground_views.py first")
-    frames = json.loads(path.read_text(encoding="utf-8"))["frames"]
-    if any("car_pose" not in frame for frame in frames):
-        raise UserError(f"{path}: frames lack car_pose; these are no ground views")
+    frames = read_transforms(path).get("frames")
     if not frames:
         raise UserError(f"{path}: holds no frames")
-    pictures = np.stack([np.asarray(Image.open(folder / frame["file_path"]).convert("RGB")) for frame in frames])
-    depth = np.stack([np.asarray(Image.open(folder / frame["depth_path"]), np.float32) / 1000 for frame in frames])
+    if any("car_pose" not in frame for frame in frames):
+        raise UserError(f"{path}: frames lack car_pose; these are no ground views")
+    pictures = np.stack([read_rgb(resolve_inside(folder, frame["file_path"])) for frame in frames])
+    depths = [read_depth(resolve_inside(folder, frame["depth_path"])) for frame in frames]
+    depth = np.stack(depths).astype(np.float32) / 1000
     return GroundViews(
         torch.from_numpy(pictures),
         torch.from_numpy(depth),
@@ -154,13 +153,7 @@ def _write(renderer: Renderer, cameras: Cameras, folder: FilePath, index: int) -
     millimetres = np.rint(np.clip(depth, 0.0, FAR) * 1000).astype(np.uint16)
     # the picture last: a view counts as there only with both
     for kind, array in (("depth", millimetres), ("images", rgb)):
-        _save_png(folder / kind / view_name(index), array)
-
-
-def _save_png(path: FilePath, array: np.ndarray) -> None:
-    buffer = io.BytesIO()
-    Image.fromarray(array).save(buffer, format="PNG", compress_level=3)
-    write_atomically(path, buffer.getvalue())
+        write_png(folder / kind / view_name(index), array)
 
 
 def _written(

@@ -7,10 +7,9 @@ have zero mean (a drone that errs independently in every picture is right on ave
 
 import torch
 from jaxtyping import Float, Int
+from kornia.geometry.conversions import axis_angle_to_rotation_matrix
 from torch import Tensor, nn
 
-SMALL = 1e-4
-"""Radians below which the rotation's series is used."""
 ORIENTATION_SHARE = 0.01
 """Weight of the orientations beside the positions in a common motion."""
 
@@ -27,37 +26,13 @@ class PoseCorrections(nn.Module):
     def forward(self, poses: Float[Tensor, "n 4 4"], camera: Int[Tensor, " n"]) -> Float[Tensor, "n 4 4"]:
         """Returns corrected camera-to-world poses; differentiable in the corrections."""
         translation, rotation = self._centred(self.translation), self._centred(self.rotation)
-        turned = poses[:, :3, :3] @ rotation_matrix(rotation)[camera]
+        turned = poses[:, :3, :3] @ axis_angle_to_rotation_matrix(rotation)[camera]
         moved = poses[:, :3, 3] + translation[camera]
         top = torch.cat([turned, moved[:, :, None]], dim=2)
         return torch.cat([top, poses[:, 3:]], dim=1)
 
     def _centred(self, values: Tensor) -> Tensor:
         return values - values.mean(dim=0) if self.fixed_gauge else values
-
-
-def rotation_matrix(vector: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 3"]:
-    """Returns exp of rotation vectors (radians), with exact gradients at zero.
-
-    R = I + a K + b K^2 with a = sin(x) / x, b = (1 - cos(x)) / x^2; both are series in x^2 near zero, where the norm x
-    itself has no gradient.
-    """
-    square = vector.square().sum(dim=1)
-    small = square < SMALL**2
-    safe = torch.where(small, torch.ones_like(square), square)
-    angle = safe.sqrt()
-    a = torch.where(small, 1 - square / 6, torch.sin(angle) / angle)
-    b = torch.where(small, 0.5 - square / 24, 2 * torch.sin(angle / 2).square() / safe)
-    k = cross_matrix(vector)
-    identity = torch.eye(3, dtype=vector.dtype, device=vector.device)
-    return identity + a[:, None, None] * k + b[:, None, None] * (k @ k)
-
-
-def cross_matrix(v: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 3"]:
-    """Returns the matrices K with K w = v x w."""
-    zero = torch.zeros_like(v[:, 0])
-    rows = [zero, -v[:, 2], v[:, 1], v[:, 2], zero, -v[:, 0], -v[:, 1], v[:, 0], zero]
-    return torch.stack(rows, dim=1).view(-1, 3, 3)
 
 
 def rotation_angle(a: Float[Tensor, "n 3 3"], b: Float[Tensor, "n 3 3"]) -> Float[Tensor, " n"]:

@@ -117,12 +117,12 @@ def new_nerf(config: AerialConfig, scene_box: Float[Tensor, "2 3"], cameras: int
 
 def load_nerf(config: AerialConfig, survey: Survey) -> tuple[RoadNerf, dict]:
     """Loads the trained radiance field of a run and what its training cost."""
-    cameras = len(survey.train.images)
-    nerf, cost = load_model(
-        config.folder / "reconstruction",
-        lambda _: new_nerf(config, survey.data.scene_box, cameras),
-        "scripts/train_road_nerf.py",
-    )
+    return _load_nerf(config, survey.data.scene_box, len(survey.train))
+
+
+def _load_nerf(config: AerialConfig, scene_box: Float[Tensor, "2 3"], cameras: int) -> tuple[RoadNerf, dict]:
+    folder = config.folder / "reconstruction"
+    nerf, cost = load_model(folder, lambda _: new_nerf(config, scene_box, cameras), "scripts/train_road_nerf.py")
     return nerf.eval(), cost
 
 
@@ -136,10 +136,7 @@ class SavedField:
 
     def __call__(self) -> Renderer:
         """Returns the renderer."""
-        build = new_nerf(self.config, self.scene_box, self.cameras)
-        folder = self.config.folder / "reconstruction"
-        nerf, _ = load_model(folder, lambda _: build, "scripts/train_road_nerf.py")
-        return nerf_renderer(nerf.eval())
+        return nerf_renderer(_load_nerf(self.config, self.scene_box, self.cameras)[0])
 
 
 def run_ground_views(config: AerialConfig, on_view: Callable[[int, int], None] = lambda done, total: None) -> None:

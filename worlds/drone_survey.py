@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float
+from kornia.geometry.conversions import axis_angle_to_rotation_matrix
 from torch import Tensor
 
 from hashnerf.cameras import Cameras, look_at
@@ -75,18 +76,11 @@ def disturbed(
 ) -> Float[Tensor, "4 4"]:
     """The pose moved by Gaussian noise (metres) and turned about its own axes (degrees), still rigid."""
     vector = torch.from_numpy(np.radians(angle_noise) * rng.standard_normal(3))
-    turn = torch.linalg.matrix_exp(_skew(vector))
+    turn = axis_angle_to_rotation_matrix(vector[None])[0]
     result = pose.double().clone()
     result[:3, :3] = result[:3, :3] @ turn
     result[:3, 3] += torch.from_numpy(position_noise * rng.standard_normal(3))
     return result.float()
-
-
-def _skew(v: Float[Tensor, " 3"]) -> Float[Tensor, "3 3"]:
-    zero = torch.zeros((), dtype=v.dtype)
-    return torch.stack(
-        [torch.stack([zero, -v[2], v[1]]), torch.stack([v[2], zero, -v[0]]), torch.stack([-v[1], v[0], zero])]
-    )
 
 
 def _nadir(config: SurveyConfig, count: int, rng: np.random.Generator) -> list[CameraPose]:

@@ -45,7 +45,6 @@ def _trained(tmp_path_factory, survey_folder) -> AerialConfig:
         name="tiny",
         dataset=str(survey_folder),
         runs=str(tmp_path_factory.mktemp("runs")),
-        device="cpu",
         threads=1,
         reconstruction=TINY,
         camera=CarCameraConfig(width=32, height=18),

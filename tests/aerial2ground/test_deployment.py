@@ -19,20 +19,20 @@ ON_THE_ROAD = CarState(1.9, 0.575, 0.0, 0.8)
 
 
 def test_without_shifts_it_is_the_town_that_the_drone_saw():
-    same = Deployment(TOWN, DeploymentConfig(Light(), 0.0, CameraEffects()), SMALL, 0)
+    same = Deployment(TOWN, DeploymentConfig(Light(), 0.0, CameraEffects()), SMALL, CarConfig(), 0)
     assert all(np.array_equal(a.vertices, b.vertices) for (_, a), (_, b) in zip(TOWN.static, same.world.static))
-    other = Deployment(TOWN, DeploymentConfig(), SMALL, 0)
+    other = Deployment(TOWN, DeploymentConfig(), SMALL, CarConfig(), 0)
     assert (same.look(ON_THE_ROAD) != other.look(ON_THE_ROAD)).any()
     assert other.look(ON_THE_ROAD).shape == (18, 32, 3)
 
 
 def test_noise_follows_the_seed():
-    looks = [Deployment(TOWN, DeploymentConfig(), SMALL, seed).look(ON_THE_ROAD) for seed in (1, 1, 2)]
+    looks = [Deployment(TOWN, DeploymentConfig(), SMALL, CarConfig(), seed).look(ON_THE_ROAD) for seed in (1, 1, 2)]
     assert np.array_equal(looks[0], looks[1]) and not np.array_equal(looks[0], looks[2])
 
 
 def test_the_lanes_are_free_and_houses_are_not():
-    town, car = Deployment(TOWN, DeploymentConfig(), SMALL, 0), CarConfig()
+    town, car = Deployment(TOWN, DeploymentConfig(), SMALL, CarConfig(), 0), CarConfig()
     for line in trajectories().values():
         fine = resampled(line, 0.1)
         along = np.diff(fine, axis=0)

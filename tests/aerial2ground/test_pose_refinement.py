@@ -4,8 +4,9 @@ import math
 
 import pytest
 import torch
+from kornia.geometry.conversions import axis_angle_to_rotation_matrix as rotation_matrix
 
-from aerial2ground.pose_refinement import PoseCorrections, pose_errors, rotation_angle, rotation_matrix
+from aerial2ground.pose_refinement import PoseCorrections, pose_errors, rotation_angle
 
 
 def random_poses(count: int, seed: int = 0) -> torch.Tensor:

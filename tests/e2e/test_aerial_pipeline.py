@@ -11,7 +11,6 @@ ROOT = Path(__file__).resolve().parents[2]
 TINY = """
 name: tiny
 threads: 1
-device: cpu
 workers: 1
 reconstruction:
   steps: 6
