@@ -6,17 +6,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from carff.figure_style import (
-    ABSENT_COLOUR,
-    AMBER,
-    FULL_WIDTH,
-    GREEN,
-    VERMILION,
-    StateStyle,
-    frame_legend,
-    new_figure,
-    style_chart,
-)
+from carff.state_style import ABSENT_COLOUR, StateStyle
+from hashnerf.figure_style import AMBER, FULL_WIDTH, GREEN, VERMILION, frame_legend, new_figure, style_chart
 
 KIND_COLOURS = {"hidden": AMBER, "shown": VERMILION, "clear": GREEN, "other": ABSENT_COLOUR}
 KIND_LABELS = {

@@ -1,8 +1,7 @@
-"""Figures made of numbers: training curve, latents in the plane, PSNR matrix, curves, calibration, plans, drives and
-cost.
+"""Figures made of numbers: training curve, latents in the plane, PSNR matrix, curves, calibration, plans and drives.
 
-Shares are in [0, 1] and drawn in per cent, PSNR is in dB, time in seconds, memory in MB. Intervals and bands are the
-95 % ones that the metrics computed. Every function returns a matplotlib figure; `figure_style.png_bytes` turns it into
+Shares are in [0, 1] and drawn in per cent, PSNR is in dB, time in seconds. Intervals and bands are the 95 % ones that
+the metrics computed. Every function returns a matplotlib figure; `figure_style.png_bytes` turns it into
 a file.
 """
 
@@ -14,7 +13,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from carff.figure_style import (
+from carff.forecast_metrics import VISIBILITY_CLASSES, AccuracyRecall, Curve
+from carff.planning_metrics import PlanRow, policy_label
+from carff.state_style import VISIBILITY_COLOURS, StateStyle
+from hashnerf.figure_style import (
     AMBER,
     BLUE,
     FULL_WIDTH,
@@ -26,13 +28,9 @@ from carff.figure_style import (
     PAPER,
     SMALL,
     VERMILION,
-    VISIBILITY_COLOURS,
-    StateStyle,
     new_figure,
     style_chart,
 )
-from carff.forecast_metrics import VISIBILITY_CLASSES, AccuracyRecall, Curve
-from carff.planning_metrics import PlanRow, policy_label
 
 SHOWN_DRAWS = (1, 5, 10, 20, 35, 50)
 POLICY_COLOURS = {"risk": BLUE, "paper": AMBER, "oracle": GREEN}
@@ -238,26 +236,6 @@ def closed_loop_chart(policies: Mapping[str, Mapping]) -> Figure:
     style_chart(panels[2], "time to cross", "seconds (median and quartiles)")
     panels[0].set_yticks(places, [policy_label(name) for name in policies])
     panels[0].set_ylim(-0.6, len(policies) - 0.4)
-    return figure
-
-
-def stages_chart(stages: Sequence[Mapping]) -> Figure:
-    """Wall-clock time and peak memory of every stage (`name`, `seconds`, `peak_memory_mb`), in the order they ran."""
-    figure = new_figure(FULL_WIDTH, 0.32 * len(stages) + 0.9)
-    panels = figure.subplots(1, 2, sharey=True)
-    places = range(len(stages))[::-1]
-    for axes, key, colour, unit in ((panels[0], "seconds", BLUE, "s"), (panels[1], "peak_memory_mb", MUTED, "MB")):
-        values = [stage[key] or 0.0 for stage in stages]
-        axes.barh(places, values, color=colour, height=0.6)
-        for place, value in zip(places, values):
-            axes.text(
-                value, place, f"  {value:,.0f} {unit}" if value else "  not measured", va="center", fontsize=SMALL
-            )
-        axes.set_xlim(0, 1.2 * max([*values, 1.0]))
-        axes.grid(visible=False, axis="y")
-    style_chart(panels[0], "wall clock", "seconds")
-    style_chart(panels[1], "peak memory", "MB")
-    panels[0].set_yticks(places, [stage["name"] for stage in stages])
     return figure
 
 

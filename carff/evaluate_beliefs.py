@@ -16,11 +16,11 @@ from carff.beliefs import active_units, reparameterise
 from carff.charts import latent_map, psnr_curve
 from carff.evaluation_data import EvaluationData, Part, Views, actor_visible
 from carff.evaluation_pictures import contact_sheet_figure, reconstruction_figure
-from carff.figure_style import png_bytes
 from carff.latent_metrics import subset_accuracy, svm_accuracy, svm_heldout, tsne_embedding
 from carff.scene_metrics import changed_pixels, mean_psnr_db, psnr_db
 from carff.states import state_ceiling
 from hashnerf.errors import UserError
+from hashnerf.figure_style import png_bytes
 
 MOST_MAP_POINTS = 600
 VISIBLE_FIGURES = ("svm_visible", "svm_visible_gap")

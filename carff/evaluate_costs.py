@@ -3,18 +3,16 @@
 Seconds are wall clock, memory is the largest resident size of a stage's process in MB.
 """
 
-import resource
-import sys
-
 from carff.approach_chart import approach_chart
-from carff.charts import closed_loop_chart, stages_chart
+from carff.charts import closed_loop_chart
 from carff.closed_loop_file import load_closed_loop
 from carff.evaluation_data import EvaluationData, Part
-from carff.figure_style import png_bytes
 from carff.model import load_nerf
-from carff.pipeline import read_timings
 from carff.planning_metrics import approach_results, closed_loop_results
-from carff.targets import WHOLE_RUN
+from hashnerf.figure_style import png_bytes
+from hashnerf.pipeline import read_timings, total_seconds
+from hashnerf.stage_costs import peak_memory_mb, stages_chart
+from hashnerf.targets import WHOLE_RUN
 
 EVALUATION = "evaluation"
 TRAINED = {"PC-VAE", "radiance field", "forecast"}
@@ -57,7 +55,7 @@ def evaluate_costs(evaluation: EvaluationData, own_seconds: float) -> Part:
         timed = trained_stages(evaluation)
     timed[EVALUATION] = {"seconds": own_seconds, "peak_memory_mb": peak_memory_mb()}
     stages = [{"name": name, **cost} for name, cost in timed.items()]
-    total = sum(stage["seconds"] for stage in stages)
+    total = total_seconds(timed)
     results = {"stages": stages, "seconds_total": total, "seconds_cover": cover}
     return Part(results, {"stages": png_bytes(stages_chart(stages))})
 
@@ -72,9 +70,3 @@ def trained_stages(evaluation: EvaluationData) -> dict[str, dict]:
     else:
         stages["radiance field"] = costs["nerf"]
     return stages | {"forecast": costs["mdn"]}
-
-
-def peak_memory_mb() -> float:
-    """The largest resident size of this process so far."""
-    unit = 1e6 if sys.platform == "darwin" else 1e3  # bytes on macOS, kilobytes elsewhere
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit

@@ -19,9 +19,9 @@ from carff.beliefs import Belief, sample_beliefs
 from carff.charts import accuracy_recall_chart, calibration_chart
 from carff.decisions import sample_next_scores
 from carff.evaluation_data import EvaluationData, Part, Views
-from carff.figure_style import png_bytes
 from carff.forecast_metrics import AccuracyRecall, accuracy_recall_curves, branch_calibration, branch_frequency
 from carff.probe import UNKNOWN
+from hashnerf.figure_style import png_bytes
 
 FEWEST_DRAWS = 100  # per picture, for branch probabilities
 

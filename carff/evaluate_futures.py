@@ -13,9 +13,9 @@ from torch import Tensor
 from carff.evaluate_scenes import BIRDS_EYE, render_scenes
 from carff.evaluation_data import NONE, EvaluationData, Part, main_actor, one_label
 from carff.evaluation_pictures import camera_name
-from carff.figure_style import png_bytes
 from carff.figures import Futures, futures_strip
 from carff.states import branch_ambiguous
+from hashnerf.figure_style import png_bytes
 
 SHOWN = 5
 DRAWS = 100

@@ -19,11 +19,11 @@ from carff.charts import planning_chart
 from carff.decisions import decide_from_pictures, sample_scenes
 from carff.evaluate_probe import evidence_px
 from carff.evaluation_data import EvaluationData, Part, Views
-from carff.figure_style import png_bytes
 from carff.model import CarffModel
 from carff.picture_kinds import picture_kinds
 from carff.planner import decide
 from carff.planning_metrics import PAPER_SUCCESS, plan_results, planning_table
+from hashnerf.figure_style import png_bytes
 
 RULES, SAMPLES = ("risk", "paper"), (2, 10, 35)
 FEWEST_IMAGES = 10

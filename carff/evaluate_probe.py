@@ -17,10 +17,10 @@ from torch import Tensor
 from carff.beliefs import reparameterise
 from carff.charts import confusion_heatmap
 from carff.evaluation_data import EvaluationData, Part, one_label
-from carff.figure_style import png_bytes
 from carff.latent_metrics import subset_accuracy
 from carff.probe import UNKNOWN
 from carff.scene_metrics import CHANGE_THRESHOLD
+from hashnerf.figure_style import png_bytes
 
 EVIDENCE = (0, 10, 30, 100, math.inf)  # pixels: a mirror, a car far away, a car, a car near by
 

@@ -17,10 +17,11 @@ from torch import Tensor
 
 from carff.charts import psnr_heatmap
 from carff.evaluation_data import FULL, EvaluationData, Part
-from carff.figure_style import StateStyle, png_bytes
 from carff.model import load_nerf
 from carff.nerf import LatentNerf
 from carff.scene_metrics import changed_pixels, equal_states, psnr_matrix, scene_summary
+from carff.state_style import StateStyle
+from hashnerf.figure_style import png_bytes
 
 BIRDS_EYE = "birds_eye"
 MOST_TRIES = 32

@@ -17,8 +17,8 @@ from torch import Tensor
 
 from carff.beliefs import Belief
 from carff.config import CarffConfig
-from carff.figure_style import StateStyle, state_style
 from carff.model import CarffModel, load_carff
+from carff.state_style import StateStyle, state_style
 from carff.states import StateTable, ambiguous_groups, build_state_table
 from hashnerf.command_line import config_changes, plain_config
 from hashnerf.errors import UserError

@@ -13,24 +13,23 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpecBase, SubplotSpec
 
-from carff.figure_style import (
-    ABSENT_COLOUR,
+from carff.forecast_metrics import VISIBILITY_CLASSES
+from carff.scene_metrics import psnr_db
+from carff.state_style import ABSENT_COLOUR, VISIBILITY_COLOURS, StateStyle
+from hashnerf.figure_style import (
     FULL_WIDTH,
     INK,
     MUTED,
     NORMAL,
     PAPER,
     SMALL,
-    VISIBILITY_COLOURS,
-    StateStyle,
     frame_legend,
     hide,
     new_figure,
     show_picture,
     style_chart,
 )
-from carff.forecast_metrics import VISIBILITY_CLASSES
-from carff.scene_metrics import psnr_db, unit_pictures
+from hashnerf.unit_pictures import unit_pictures
 
 
 @dataclass(frozen=True)

@@ -2,44 +2,9 @@
 them.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-
-from carff.report_tables import (
-    Table,
-    cost_tables,
-    data_tables,
-    drive_tables,
-    forecast_tables,
-    pcvae_tables,
-    plan_tables,
-    scene_tables,
-)
-
-
-@dataclass(frozen=True)
-class Panel:
-    """A figure of the report with its caption."""
-
-    name: str
-    title: str
-    caption: str
-    depends: str
-    """Key of the result that the figure shows: where that was not run, its reason explains the empty place."""
-    half: bool = False
-    """Whether two such figures stand side by side on a wide screen."""
-
-
-@dataclass(frozen=True)
-class Section:
-    """A part of the report with its anchor in the navigation."""
-
-    anchor: str
-    title: str
-    intro: str
-    panels: tuple[Panel, ...]
-    tables: Callable[[Mapping], list[Table]]
-
+from carff.report_tables import data_tables, drive_tables, forecast_tables, pcvae_tables, plan_tables, scene_tables
+from hashnerf.report_page import Panel, Section
+from hashnerf.stage_costs import cost_tables
 
 SECTIONS = (
     Section(

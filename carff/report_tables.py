@@ -4,35 +4,11 @@ Tables are rows of text. A value that is missing becomes a dash; shares are show
 where the results hold one.
 """
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from carff.planning_metrics import policy_label
-from carff.targets import lookup
-
-DASH = "–"
-
-
-@dataclass(frozen=True)
-class Table:
-    """A formatted table; the first column names the rows."""
-
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    note: str = ""
-
-
-def number(value: float | int | None, unit: str = "", digits: int | None = None) -> str:
-    """A number with its unit; `%` and `points` are stored as shares, `min` as seconds."""
-    if value is None:
-        return DASH
-    if not math.isfinite(value):
-        return "not finite"
-    scale = {"%": 100.0, "points": 100.0, "min": 1 / 60}.get(unit, 1.0)
-    if digits is None:
-        digits = 1 if unit else 0 if float(value).is_integer() else 3
-    return f"{value * scale:.{digits}f} {unit}".strip().replace("-", "−")
+from hashnerf.report_tables import DASH, Table, number
+from hashnerf.targets import lookup
 
 
 def share(value: float | int | None, interval: Sequence[float] | None = None) -> str:
@@ -189,13 +165,3 @@ def drive_tables(results: Mapping) -> list[Table]:
     )
     along = [Table(("picture on the approach", "pictures", "right"), rows)] if rows else []
     return closed_loop_tables(results) + along
-
-
-def cost_tables(results: Mapping) -> list[Table]:
-    """Time and memory of every stage."""
-    rows = tuple(
-        (stage["name"], number(stage["seconds"], "s"), number(stage["peak_memory_mb"], "MB", 0))
-        for stage in results.get("stages", ())
-    )
-    total = ((results.get("seconds_cover", "total"), number(results.get("seconds_total"), "s"), DASH),)
-    return [Table(("stage", "wall clock", "peak memory"), rows + total)]

@@ -16,10 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from hashnerf.unit_pictures import unit_pictures
+
 # Two ground-truth pixels count as different beyond this step in any channel (8 of 255 levels: above dithering, below a
 # shadow's edge).
 CHANGE_THRESHOLD = 8 / 255
-RANGE_SLACK = 1e-4
 
 
 @dataclass(frozen=True)
@@ -32,18 +33,6 @@ class ChangedPsnr:
     """Against another state, on the pixels where that state differs from its own; averaged over the other states."""
     lead: Float[np.ndarray, " r"]
     """Own minus other on those same pixels, averaged over the other states."""
-
-
-def unit_pictures(pictures: Shaped[np.ndarray, "*batch h w 3"]) -> Float[np.ndarray, "*batch h w 3"]:
-    """Pictures as float64 in [0, 1] from uint8 or unit floats; raises ValueError for any other range, NaN included."""
-    if pictures.dtype == np.uint8:
-        return pictures / 255.0
-    pictures = pictures.astype(np.float64)
-    if not (pictures.min(initial=0.0) >= -RANGE_SLACK and pictures.max(initial=0.0) <= 1 + RANGE_SLACK):
-        raise ValueError(
-            f"pictures must be uint8 or floats in [0, 1], got values from {pictures.min():.4g} to {pictures.max():.4g}"
-        )
-    return pictures
 
 
 def psnr_db(mse: Float[np.ndarray, "*batch"] | float) -> Float[np.ndarray, "*batch"]:

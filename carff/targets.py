@@ -1,36 +1,13 @@
-"""What a run must reach, preset by preset, and whether it did.
+"""What a run of CARFF must reach, preset by preset, and whether it did.
 
-A *key* is a dotted path into the nested results (`plan.risk.n10.hazard_success`). Shares are in [0, 1], PSNR in dB,
-time in seconds or milliseconds as the key says. `derived` adds the figures that are differences of others, so that no
-caller computes them in its own way.
+Keys are dotted paths into the nested results (`plan.risk.n10.hazard_success`), see `hashnerf.targets`. `derived` adds
+the figures that are differences of others, so that no caller computes them in its own way.
 """
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
 
-# Differences of shares carry rounding of about 1e-17; a limit met to nine digits is met.
-SLACK = 1e-9
-
-
-@dataclass(frozen=True)
-class Target:
-    """One line of the summary: a figure, and the limit it has to keep in the two presets that are judged."""
-
-    key: str
-    label: str
-    comparison: str
-    """`>=`, `<=` or `==`."""
-    unit: str
-    """How values are shown: `%`, `points` (of per cent), `dB`, `min` (stored in seconds), `ms` or empty."""
-    fast: float | None
-    balanced: float | None
-    paper: str = ""
-    """What the paper reports for the same figure, for orientation."""
-    stands_for: str = ""
-    """Key of the figure in whose place this one is judged, where equal pictures put that one's limit out of reach."""
-
+from hashnerf.targets import WHOLE_RUN, Target, Verdict, limit_of, lookup
+from hashnerf.targets import judge as judge_targets
 
 TARGETS = (
     Target("seconds_total", "whole run after installation", "<=", "min", 720.0, 3600.0, "24 h on a GPU"),
@@ -42,7 +19,6 @@ TARGETS = (
         "points",
         0.03,
         0.01,
-        stands_for="pcvae.svm_visible",
     ),
     Target("pcvae.svm_gap", "state named from any view: distance to what the pixels allow", "<=", "points", 0.08, 0.03),
     Target(
@@ -55,7 +31,6 @@ TARGETS = (
         "points",
         0.20,
         0.10,
-        stands_for="pcvae.svm_visible_heldout",
     ),
     Target("pcvae.psnr_train_db", "reconstruction of training views", ">=", "dB", 32.0, 34.0, "26.5 dB"),
     Target(
@@ -79,43 +54,11 @@ TARGETS = (
     Target("closed_loop.risk.needless_stop_rate", "closed loop, risk rule: needless stops", "<=", "%", 0.15, 0.05),
     Target("decision_ms_n10", "one decision, n = 10", "<=", "ms", 200.0, 200.0),
 )
-
-
-WHOLE_RUN = "whole run"  # what `seconds_total` must cover to be judged
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """A target beside what was measured."""
-
-    target: Target
-    limit: float | None
-    """None where the preset is not judged on this figure."""
-    measured: float | int | None
-    met: bool | None
-    """None where there is no limit or the figure was not run."""
-    reason: str
-    """Why the figure was not run or has no limit here; empty otherwise."""
-
-
-def lookup(results: Mapping, key: str) -> Any:
-    """The value at a dotted key, None if any part of the path is missing."""
-    value: Any = results
-    for part in key.split("."):
-        if not isinstance(value, Mapping) or part not in value:
-            return None
-        value = value[part]
-    return value
-
-
-def reason_for(key: str, not_run: Mapping[str, str]) -> str:
-    """Why `key` was not run: its own entry or that of a parent (`closed_loop` covers `closed_loop.risk.collisions`)."""
-    parts = key.split(".")
-    for end in range(len(parts), 0, -1):
-        prefix = ".".join(parts[:end])
-        if prefix in not_run:
-            return not_run[prefix]
-    return ""
+# The figure in whose place another one is judged, where equal pictures put that one's limit out of reach.
+STANDS_FOR = {
+    "pcvae.svm_visible_gap": "pcvae.svm_visible",
+    "pcvae.svm_visible_heldout_gap": "pcvae.svm_visible_heldout",
+}
 
 
 def derived(results: Mapping) -> dict:
@@ -141,34 +84,29 @@ def derived(results: Mapping) -> dict:
 
 def judge(results: Mapping, preset: str, not_run: Mapping[str, str]) -> list[Verdict]:
     """Every target beside its measurement; presets other than `fast` and `balanced` are reported without limits."""
-    return [_verdict(target, results, preset, not_run) for target in TARGETS]
+
+    def exempt(target: Target, limit: float | None) -> str | None:
+        cover = results.get("seconds_cover", WHOLE_RUN)
+        if target.key == "seconds_total" and cover != WHOLE_RUN:
+            return f"{cover}: run scripts/demo.py to time the whole run"
+        ceiling = _low_ceiling(results, target.key, limit)
+        if ceiling is not None:
+            return f"equal pictures of different states allow {ceiling:.1%} at most"
+        other = STANDS_FOR.get(target.key)
+        return "" if other and _is_judged(results, other, preset) else None
+
+    return judge_targets(TARGETS, results, preset, not_run, exempt)
 
 
-def _verdict(target: Target, results: Mapping, preset: str, not_run: Mapping[str, str]) -> Verdict:
-    limit = {"fast": target.fast, "balanced": target.balanced}.get(preset)
-    measured = lookup(results, target.key)
-    if measured is None:
-        return Verdict(target, limit, None, None, reason_for(target.key, not_run) or "no value")
-    cover = results.get("seconds_cover", WHOLE_RUN)
-    if target.key == "seconds_total" and cover != WHOLE_RUN:
-        return Verdict(target, None, measured, None, f"{cover}: run scripts/demo.py to time the whole run")
-    ceiling = lookup(results, f"{target.key}_ceiling")
-    if ceiling is not None and limit is not None and ceiling < limit:
-        return Verdict(target, None, measured, None, f"equal pictures of different states allow {ceiling:.1%} at most")
-    if target.stands_for and _verdict(_target(target.stands_for), results, preset, not_run).limit is not None:
-        return Verdict(target, None, measured, None, "")
-    return Verdict(target, limit, measured, None if limit is None else _keeps(measured, target.comparison, limit), "")
+def _is_judged(results: Mapping, key: str, preset: str) -> bool:
+    limit = limit_of(next(target for target in TARGETS if target.key == key), preset)
+    return limit is not None and (lookup(results, key) is None or _low_ceiling(results, key, limit) is None)
 
 
-def _target(key: str) -> Target:
-    return next(target for target in TARGETS if target.key == key)
-
-
-def _keeps(measured: float | int, comparison: str, limit: float) -> bool:
-    if not math.isfinite(measured):
-        return False
-    distance = {">=": measured - limit, "<=": limit - measured, "==": -abs(measured - limit)}[comparison]
-    return distance >= -SLACK
+def _low_ceiling(results: Mapping, key: str, limit: float | None) -> float | None:
+    """What equal pictures allow at most, where that is less than the limit."""
+    ceiling = lookup(results, f"{key}_ceiling")
+    return ceiling if ceiling is not None and limit is not None and ceiling < limit else None
 
 
 def _difference(a: float | int | None, b: float | int | None) -> float | None:

@@ -139,12 +139,13 @@ def run_main(main: Callable[[], int | None]) -> NoReturn:
 
 
 def set_threads(count: int) -> None:
-    """Use this many CPU threads for tensor work; 0 means every core this process may use."""
+    """Use this many CPU threads for tensor work; 0 means OMP_NUM_THREADS, or every core this process may use."""
     import torch
 
     if count < 0:
         raise UserError(f"threads = {count} is negative; give 0 for all cores or the number of threads to use.")
-    torch.set_num_threads(count or usable_cores())
+    if count or not os.environ.get("OMP_NUM_THREADS"):  # torch has obeyed the variable since it was imported
+        torch.set_num_threads(count or usable_cores())
 
 
 def usable_cores() -> int:

@@ -11,8 +11,8 @@ import sys
 from pathlib import Path
 
 from carff.config import CarffConfig
-from carff.pipeline import check_script_folder, run_stage
 from hashnerf.command_line import parse_config, run_main
+from hashnerf.pipeline import check_script_folder, run_stage
 
 SCRIPTS = Path(__file__).resolve().parent
 
@@ -21,7 +21,7 @@ def main() -> None:
     """Run the stages in order."""
     arguments = sys.argv[1:]
     config = parse_config(CarffConfig, arguments, description="Run the whole CARFF pipeline and write its report.")
-    check_script_folder(SCRIPTS)
+    check_script_folder(SCRIPTS, "train_pcvae.py")
     world = SCRIPTS.parent / "configs" / "worlds" / f"{Path(config.dataset).name}.yaml"
 
     def stage(name: str, script: str, *options: str) -> None:

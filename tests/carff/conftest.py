@@ -10,12 +10,12 @@ import torch
 from carff.beliefs import Belief
 from carff.config import CarffConfig, EvaluationConfig
 from carff.evaluation_data import EvaluationData, all_views
-from carff.figure_style import state_style
 from carff.mixtures import GaussianMixture
 from carff.model import CarffModel
 from carff.nerf import LatentNerf
 from carff.probe import Probe, ProbeConfig, build_candidates
 from carff.scene_info import SceneInfo, scene_info
+from carff.state_style import state_style
 from carff.states import StateTable, ambiguous_groups, build_state_table
 from hashnerf.cameras import Cameras, look_at
 from hashnerf.posed_images import Frame, PosedImages

@@ -5,8 +5,9 @@ from dataclasses import asdict
 import pytest
 
 from carff.approach_chart import KIND_COLOURS, approach_chart
-from carff.figure_style import png_bytes, state_style
 from carff.planning_metrics import ApproachPoint
+from carff.state_style import state_style
+from hashnerf.figure_style import png_bytes
 
 STATES = [(0, 0), (0, 1), (1, 0), (1, 1)]
 

@@ -11,11 +11,11 @@ from carff.charts import (
     planning_chart,
     psnr_curve,
     psnr_heatmap,
-    stages_chart,
 )
-from carff.figure_style import png_bytes, state_style
 from carff.forecast_metrics import accuracy_recall_curves, branch_calibration
 from carff.planning_metrics import Episode, closed_loop_results, planning_table
+from carff.state_style import state_style
+from hashnerf.figure_style import png_bytes
 
 PNG = b"\x89PNG"
 STYLE = state_style([(0, 0), (0, 1), (1, 0)], ("absent", "present"))
@@ -106,11 +106,3 @@ def test_closed_loop_chart_with_and_without_crossings(time):
     figure = closed_loop_chart(closed_loop_results([episode]))
     assert ("never crosses" in _texts(figure)) is (time is None)
     assert png_bytes(figure).startswith(PNG)
-
-
-def test_stages_say_what_was_not_measured():
-    stages = [
-        {"name": "PC-VAE", "seconds": 61.0, "peak_memory_mb": 1234.0},
-        {"name": "plan", "seconds": 2.0, "peak_memory_mb": None},
-    ]
-    assert [text.strip() for text in _texts(stages_chart(stages))] == ["61 s", "2 s", "1,234 MB", "not measured"]

@@ -7,8 +7,9 @@ import pytest
 
 from carff import evaluate_costs as costs_part
 from carff.closed_loop_file import ClosedLoop, save_closed_loop
-from carff.evaluate_costs import evaluate_closed_loop, evaluate_costs, peak_memory_mb
+from carff.evaluate_costs import evaluate_closed_loop, evaluate_costs
 from carff.planning_metrics import ApproachPoint, Episode
+from hashnerf.stage_costs import peak_memory_mb
 
 
 def in_a_world(evaluation):

@@ -9,7 +9,7 @@ import pytest
 
 from carff import evaluate_scenes, evaluation
 from carff.report import REQUIRED_KEYS
-from carff.targets import lookup, reason_for
+from hashnerf.targets import lookup, reason_for
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -14,7 +14,7 @@ from carff.evaluation_pictures import (
     sheet_cameras,
     target_cameras,
 )
-from carff.figure_style import png_bytes
+from hashnerf.figure_style import png_bytes
 
 PNG = b"\x89PNG"
 

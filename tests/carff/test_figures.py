@@ -3,8 +3,9 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from carff.figure_style import ABSENT_COLOUR, VISIBILITY_COLOURS, png_bytes, state_style
 from carff.figures import Futures, ReconstructionRow, contact_sheet, futures_strip, reconstruction_grid
+from carff.state_style import ABSENT_COLOUR, VISIBILITY_COLOURS, state_style
+from hashnerf.figure_style import png_bytes
 
 PNG = b"\x89PNG"
 

@@ -6,11 +6,12 @@ import re
 import numpy as np
 import pytest
 
-from carff.figure_style import new_figure, png_bytes
 from carff.planning_metrics import Episode, closed_loop_results, plan_results, planning_table
-from carff.report import PANEL_NAMES, REQUIRED_KEYS, RunInfo, write_report
-from carff.targets import lookup
+from carff.report import PANEL_NAMES, REQUIRED_KEYS, write_report
 from hashnerf.errors import UserError
+from hashnerf.figure_style import new_figure, png_bytes
+from hashnerf.run_info import RunInfo
+from hashnerf.targets import lookup
 
 RUN = RunInfo("demo", "fast", "intersection", "make demo", "2 cores", "2026-01-01 12:00", "abc1234", 0, "Python 3.11")
 

@@ -1,40 +1,14 @@
-import math
-
-import pytest
-
 from carff.planning_metrics import Episode, closed_loop_results
 from carff.report_tables import (
     closed_loop_tables,
-    cost_tables,
     data_tables,
     drive_tables,
     forecast_tables,
-    number,
     pcvae_tables,
     plan_tables,
     scene_tables,
     share,
 )
-
-
-@pytest.mark.parametrize(
-    ("value", "unit", "text"),
-    [
-        (0.973, "%", "97.3 %"),
-        (0.1, "points", "10.0 points"),
-        (-0.006, "points", "−0.6 points"),
-        (720.0, "min", "12.0 min"),
-        (28.04, "dB", "28.0 dB"),
-        (3, "", "3"),
-        (3.0, "", "3"),
-        (0.0214, "", "0.021"),
-        (None, "dB", "–"),
-        (math.inf, "dB", "not finite"),
-        (math.nan, "", "not finite"),
-    ],
-)
-def test_numbers_are_written_for_people(value, unit, text):
-    assert number(value, unit) == text
 
 
 def test_shares_carry_their_interval():
@@ -46,9 +20,6 @@ def test_tables_without_results_are_empty_or_dashes():
     for build in (data_tables, pcvae_tables, forecast_tables, plan_tables, closed_loop_tables):
         assert not any(table.rows for table in build({}))
     assert scene_tables({})[0].rows[0][1:] == ("–", "–")
-    assert cost_tables({})[0].rows == (("total", "–", "–"),)
-    partial = {"seconds_cover": "trainings and evaluation only", "seconds_total": 3.0}
-    assert cost_tables(partial)[0].rows[-1][0] == "trainings and evaluation only"
 
 
 def test_scene_table_sets_trained_beside_held_out():

@@ -2,24 +2,11 @@ import math
 
 import pytest
 
-from carff.targets import TARGETS, derived, judge, lookup, reason_for
+from carff.targets import TARGETS, derived, judge
 
 
 def _verdict(results: dict, key: str, preset: str = "fast", not_run: dict | None = None):
     return next(verdict for verdict in judge(results, preset, not_run or {}) if verdict.target.key == key)
-
-
-def test_lookup_follows_the_path():
-    results = {"plan": {"risk": {"n10": {"hazard_success": 0.9}}}, "seconds_total": 3.0}
-    assert lookup(results, "plan.risk.n10.hazard_success") == 0.9 and lookup(results, "seconds_total") == 3.0
-    assert lookup(results, "plan.paper.n10") is None and lookup(results, "seconds_total.x") is None
-
-
-def test_a_reason_covers_everything_below_its_key():
-    reasons = {"closed_loop": "no world", "plan.risk.n2": "skipped"}
-    assert reason_for("closed_loop.risk.collisions", reasons) == "no world"
-    assert reason_for("plan.risk.n2.hazard_success", reasons) == "skipped"
-    assert reason_for("plan.risk.n10.hazard_success", reasons) == "" and reason_for("closed_loops", reasons) == ""
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,8 @@
-import io
-import threading
-
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
-from PIL import Image
 
-from carff.figure_style import UNKNOWN_COLOUR, new_figure, png_bytes, show_picture, state_style
+from carff.state_style import UNKNOWN_COLOUR, state_style
 
 PAIRS = [(branch, step) for branch in range(2) for step in range(3)]
 
@@ -47,29 +43,3 @@ def test_what_is_no_state_is_unknown():
     style = state_style(PAIRS)
     assert style.name(-1) == style.name(6) == "unknown" and style.colour(-1) == UNKNOWN_COLOUR
     assert style.name(0) == style.names[0] and style.colour(5) == style.colours[5]
-
-
-def test_png_is_a_picture_and_the_same_every_time():
-    def draw() -> bytes:
-        figure = new_figure(2.0, 1.0)
-        show_picture(figure.subplots(), np.full((4, 4, 3), 0.5), "title", frame="#ff0000", dashed=True)
-        return png_bytes(figure)
-
-    first = draw()
-    assert Image.open(io.BytesIO(first)).size == (280, 140)
-    assert first == draw()
-
-
-def test_figures_can_be_drawn_in_threads():
-    results: list[bytes] = []
-    threads = [threading.Thread(target=lambda: results.append(png_bytes(new_figure(1.0, 1.0)))) for _ in range(2)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(results) == 2 and results[0] == results[1]
-
-
-def test_a_picture_of_the_wrong_range_is_refused():
-    with pytest.raises(ValueError, match=r"\[0, 1\]"):
-        show_picture(new_figure(1.0, 1.0).subplots(), np.full((2, 2, 3), 200.0))
