@@ -41,6 +41,8 @@ class FieldConfig:
     finest_resolution: int = 192
     """Cells along the longest side of the scene box at the finest level; cells much finer than a pixel's footprint only
     add speckle."""
+    flatness: float = 1.0
+    """Cells are this many times lower than wide: seen at a grazing angle, flat ground must be thin."""
     hidden_width: int = 64
     """Units of every hidden layer."""
     density_layers: int = 1
@@ -54,8 +56,8 @@ class FieldConfig:
     initial_thickness: float = 3.0
     """Optical thickness of the box along its longest side before training."""
     cell_thickness: float = 4.0
-    """About the greatest optical thickness across a cell of the finest level (4 leaves 2 % of the light): beyond it the
-    logarithm of the density grows at a hundredth of the rate."""
+    """About the greatest optical thickness of a cell of the finest level along z (4 leaves 2 % of the light): beyond it
+    the logarithm of the density grows at a hundredth of the rate."""
     mlp_dtype: Literal["float32", "bfloat16"] = "float32"
     """Arithmetic of the networks; everything else stays float32."""
     compile: bool = False
@@ -79,14 +81,19 @@ class FieldConfig:
             raise UserError(f"field.direction_degree is {self.direction_degree}: use 1 to {MAX_DEGREE}")
         if self.geometry_features < 0:
             raise UserError(f"field.geometry_features is {self.geometry_features}: use 0 or more")
-        for name in ("initial_thickness", "cell_thickness"):
+        for name in ("flatness", "initial_thickness", "cell_thickness"):
             if not 0 < getattr(self, name) < math.inf:
                 raise UserError(f"field.{name} is {getattr(self, name)}: use a positive number")
-        if self.initial_thickness >= self.cell_thickness * self.finest_resolution:
+        if self.initial_thickness >= self.greatest_thickness:
             raise UserError(
                 f"field.initial_thickness is {self.initial_thickness}: use less than "
-                f"{self.cell_thickness * self.finest_resolution:g}, cell_thickness times finest_resolution"
+                f"{self.greatest_thickness:g}, cell_thickness times finest_resolution times flatness"
             )
+
+    @property
+    def greatest_thickness(self) -> float:
+        """Optical thickness of the box along its longest side where it is as dense as can be."""
+        return self.cell_thickness * self.finest_resolution * self.flatness
 
 
 class Field(nn.Module):
@@ -103,10 +110,11 @@ class Field(nn.Module):
             config.base_resolution,
             config.finest_resolution,
             config.compile,
+            config.flatness,
         )
         # weights of the table start near zero, so this bias alone sets the density everywhere
         longest = float((scene_box[1] - scene_box[0]).amax())
-        greatest = config.cell_thickness * config.finest_resolution
+        greatest = config.greatest_thickness
         self.log_greatest_density = math.log(greatest / longest)
         # log1p makes up for what the bound takes from it
         share = config.initial_thickness / greatest

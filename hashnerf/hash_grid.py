@@ -1,8 +1,9 @@
 """Multi-resolution hash grid (Instant-NGP) over an axis-aligned box of any shape.
 
 Every level is a lattice of cubic cells: `resolution` cells along the longest side of the box and as many as needed
-along the others. A point takes the trilinear mean of the feature vectors at the eight vertices of its cell. Vertices
-are stored one by one where they fit into the table, else they share entries through a spatial hash.
+along the others; `flatness` makes cells that many times lower than wide, for scenes of flat ground. A point takes the
+trilinear mean of the feature vectors at the eight vertices of its cell. Vertices are stored one by one where they fit
+into the table, else they share entries through a spatial hash.
 
 Positions are world metres. They are always computed in float32 (float64 stays float64), also under autocast. A point
 outside the box, or NaN, gets zero features and no gradient; under `torch.autograd.detect_anomaly` NaN raises
@@ -31,7 +32,7 @@ class Level:
     """One lattice: its cell size, its vertices per axis and its stretch of the table."""
 
     cell: float
-    """Edge of a cell, metres."""
+    """Edge of a cell, metres; along z divided by the flatness."""
     vertices: tuple[int, int, int]
     """Lattice vertices along x, y and z."""
     entries: int
@@ -49,14 +50,16 @@ def plan_levels(
     log2_table_size: int,
     base_resolution: int,
     finest_resolution: int,
+    flatness: float = 1.0,
 ) -> tuple[Level, ...]:
     """Lay out `levels` lattices whose resolutions grow geometrically from base to finest along the longest side."""
     longest, table_size = max(extent), 1 << log2_table_size
     growth = (finest_resolution / base_resolution) ** (1 / max(levels - 1, 1))
+    sides = (*extent[:2], extent[2] * flatness)
     plan, offset = [], 0
     for number in range(levels):
         resolution = round(base_resolution * growth**number)
-        vertices = tuple(math.ceil(resolution * side / longest) + 1 for side in extent)
+        vertices = tuple(math.ceil(resolution * side / longest) + 1 for side in sides)
         count = math.prod(vertices)  # Python integers: 2048^3 would overflow 32 bits
         hashed = count > table_size
         entries = table_size if hashed else count
@@ -196,15 +199,18 @@ class HashGrid(nn.Module):
         base_resolution: int,
         finest_resolution: int,
         compile: bool = False,
+        flatness: float = 1.0,
     ):
         super().__init__()
         if features % 2:
             raise UserError(f"features_per_level is {features}: use an even number")
-        self.features, self.compile = features, compile
+        self.features, self.compile, self.flatness = features, compile, flatness
         extent = (box[1].double() - box[0].double()).tolist()
         if not all(0 < side < math.inf for side in extent):
             raise UserError(f"scene box has sides {extent} m: every side must be positive and finite")
-        self.plan = plan_levels(tuple(extent), levels, features, log2_table_size, base_resolution, finest_resolution)
+        self.plan = plan_levels(
+            tuple(extent), levels, features, log2_table_size, base_resolution, finest_resolution, flatness
+        )
         self.register_buffer("box", box.detach().clone(), persistent=False)
         last = self.plan[-1]
         numbers = last.offset + last.entries * features
@@ -237,4 +243,6 @@ class HashGrid(nn.Module):
         inside = ((positions >= low) & (positions <= high)).all(dim=1)
         # the argument itself is made safe: a NaN that is only masked afterwards still reaches the gradient
         local = torch.where(inside[:, None], positions - low, 0.0)
+        if self.flatness != 1.0:
+            local = local * local.new_tensor([1.0, 1.0, self.flatness])
         return _Encode.apply(local, inside, self.table, self)

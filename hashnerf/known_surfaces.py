@@ -25,5 +25,5 @@ def standing(field: Field, points: Float[Tensor, "points 3"]) -> Float[Tensor, "
 
     The opacity itself would have no slope where all is opaque, which is where it matters most.
     """
-    edge = (field.box[1] - field.box[0]).amax() / field.config.finest_resolution
+    edge = (field.box[1] - field.box[0]).amax() / (field.config.finest_resolution * field.config.flatness)
     return torch.log1p(field.density(points)[0] * edge).mean()

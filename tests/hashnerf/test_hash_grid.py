@@ -15,8 +15,8 @@ from tests.hashnerf.numerics import finite_gradients
 BOX = torch.tensor([[-2.0, 1.0, 0.0], [2.0, 4.0, 0.5]])
 
 
-def small_grid(features=2, compile=False, log2_table_size=8, dtype=torch.float32) -> HashGrid:
-    grid = HashGrid(BOX, 3, features, log2_table_size, 4, 16, compile)
+def small_grid(features=2, compile=False, log2_table_size=8, dtype=torch.float32, flatness=1.0) -> HashGrid:
+    grid = HashGrid(BOX, 3, features, log2_table_size, 4, 16, compile, flatness)
     torch.nn.init.uniform_(grid.table, -1, 1)
     return grid.to(dtype)
 
@@ -30,7 +30,8 @@ def slow_encode(grid: HashGrid, point: list[float]) -> list[float]:
     out = []
     for level in grid.plan:
         table = grid.rows(grid.table, level).tolist()
-        x = [(p - low) / level.cell for p, low in zip(point, grid.box[0].tolist())]
+        flat = (1.0, 1.0, grid.flatness)
+        x = [(p - low) * stretch / level.cell for p, low, stretch in zip(point, grid.box[0].tolist(), flat)]
         cell = [min(math.floor(v), count - 2) for v, count in zip(x, level.vertices)]
         total = [0.0] * grid.features
         for corner in itertools.product((0, 1), repeat=3):
@@ -262,3 +263,18 @@ def test_the_initial_table_is_small_and_even():
 def test_an_impossible_box_is_refused(box):
     with pytest.raises(UserError, match="side"):
         HashGrid(torch.tensor(box, dtype=torch.float32), 2, 2, 10, 4, 8)
+
+
+@pytest.mark.parametrize("log2_table_size", [8, 20])
+def test_flat_cells_equal_the_slow_reference(log2_table_size):
+    grid = small_grid(dtype=torch.float64, log2_table_size=log2_table_size, flatness=3.0)
+    # half a metre of height, in cells of a third of 0.25 m: 6 cells and 7 vertices
+    assert grid.plan[-1].cell == 0.25 and grid.plan[-1].vertices == (17, 13, 7)
+    where = points(20, torch.float64)
+    expected = torch.tensor([slow_encode(grid, point) for point in where.tolist()], dtype=torch.float64)
+    assert grid(where).detach() == pytest.approx(expected, abs=1e-6)
+
+
+def test_flat_cells_have_the_right_slope():
+    grid = small_grid(dtype=torch.float64, log2_table_size=20, flatness=3.0)
+    assert torch.autograd.gradcheck(grid, points(6, torch.float64).requires_grad_(), eps=1e-7)
