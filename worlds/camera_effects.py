@@ -1,9 +1,12 @@
-"""What a real camera does to a picture: exposure, white balance, noise, motion blur. Each has a name."""
+"""What a real camera does to a picture: exposure, white balance, noise, motion blur; and a stereo camera to depth.
+
+Each has a name.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float32, UInt8
 
 from worlds.checks import check_between
 
@@ -30,6 +33,20 @@ class CameraEffects:
         check_between("camera.shutter", self.shutter, 0.0, 0.2)
 
 
+@dataclass(frozen=True)
+class DepthEffects:
+    """How a stereo camera's depth differs from the true one; all zero changes nothing."""
+
+    noise: float = 0.0
+    """Standard deviation of 1 / depth (per metre): so many metres at 1 m, and four times as many at 2 m."""
+    holes: float = 0.0
+    """Share of the pixels in which nothing is measured."""
+
+    def __post_init__(self) -> None:
+        check_between("depth.noise", self.noise, 0.0, 1.0)
+        check_between("depth.holes", self.holes, 0.0, 1.0)
+
+
 def photographed(
     rgb: UInt8[np.ndarray, "h w 3"], effects: CameraEffects, pixels_per_second: float, rng: np.random.Generator
 ) -> UInt8[np.ndarray, "h w 3"]:
@@ -41,6 +58,20 @@ def photographed(
     if effects.noise:
         value = value + effects.noise * rng.standard_normal(value.shape, dtype=np.float32)
     return np.rint(255 * np.clip(value, 0.0, 1.0)).astype(np.uint8)
+
+
+def depth_measured(
+    depth: Float32[np.ndarray, "h w"], effects: DepthEffects, rng: np.random.Generator
+) -> Float32[np.ndarray, "h w"]:
+    """The depth (m along the axis, 0 where nothing is) as a stereo camera measures it; what it loses becomes 0."""
+    seen = depth > 0
+    inverse = 1 / np.where(seen, depth, 1.0)
+    if effects.noise:
+        inverse = inverse + effects.noise * rng.standard_normal(depth.shape, dtype=np.float32)
+    if effects.holes:
+        seen = seen & (rng.random(depth.shape) >= effects.holes)
+    seen = seen & (inverse > 0)
+    return np.where(seen, 1 / np.where(seen, inverse, 1.0), 0.0).astype(np.float32)
 
 
 def blurred(light: np.ndarray, length: float) -> np.ndarray:

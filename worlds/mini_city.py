@@ -12,12 +12,12 @@ import numpy as np
 
 from worlds.checks import check_between
 from worlds.drone_survey import SurveyConfig, survey_rig
-from worlds.meshes import Material, Mesh, block, cylinder, hexahedron, merge, quad
-from worlds.mini_city_roads import AREA, road_bodies, road_network, trajectories
-from worlds.polylines import resampled
+from worlds.meshes import Material, Mesh, blob, block, cylinder, hexahedron, merge, quad
+from worlds.mini_city_roads import AREA, LANE, LOOP, on_road, road_bodies, road_network, trajectories
+from worlds.polylines import arc_lengths, beside, resampled
 from worlds.scene import State, World
 from worlds.shading import Light
-from worlds.street import GRASS, building, hedge, tree
+from worlds.street import FOLIAGE, GRASS, TRUNK, building, hedge, tree
 from worlds.vehicles import sedan
 
 SCALE = 0.1
@@ -39,6 +39,8 @@ class MiniCityConfig:
     """Which of the arrangements of houses, trees and cars: 0, 1 or 2."""
     light: Light = field(default_factory=Light)
     """Where the sun stands."""
+    avenue: int = 0
+    """Trees whose wide crowns hang over the road, so that little of it is seen from above."""
     displacement: float = 0.0
     """Trees, lamp posts and parked cars stand up to this far from their places, metres."""
     survey: SurveyConfig = field(default_factory=SurveyConfig)
@@ -46,6 +48,7 @@ class MiniCityConfig:
 
     def __post_init__(self) -> None:
         check_between("mini_city.layout", self.layout, 0, LAYOUTS - 1)
+        check_between("mini_city.avenue", self.avenue, 0, 60)
         check_between("mini_city.displacement", self.displacement, 0.0, 0.1)
 
 
@@ -97,6 +100,7 @@ def _bodies(config: MiniCityConfig, seed: int) -> list[tuple[str, Mesh]]:
             width = 10 * rng.uniform(0.3, 0.5)
             bodies.append((f"hedge_{number}", _scaled(hedge((-width / 2, -0.4, width / 2, 0.4), 1.2), x, y)))
     bodies += _roadside(rng, shift)
+    bodies += _avenue(config.avenue, np.random.default_rng([seed, config.layout, 2]))
     return bodies
 
 
@@ -140,6 +144,22 @@ def _roadside(rng: np.random.Generator, shift) -> list[tuple[str, Mesh]]:
     for number, (x, y) in enumerate([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]):
         colour = Material(PAINTS[(number + int(rng.integers(len(PAINTS)))) % len(PAINTS)])
         bodies.append((f"board_{number}", _board(x, y, colour)))
+    return bodies
+
+
+def _avenue(count: int, rng: np.random.Generator) -> list[tuple[str, Mesh]]:
+    """Trees along the loop, on alternate sides: a slender trunk beside the road and a flat crown over its middle."""
+    place = arc_lengths(LOOP)
+    bodies = []
+    for number, s in enumerate((np.arange(count) + 0.5) / max(count, 1) * place[-1]):
+        side = 1 if number % 2 else -1
+        x, y = (np.interp(s, place, beside(LOOP, side * (LANE + 0.12))[:, axis]) for axis in range(2))
+        mx, my = (np.interp(s, place, LOOP[:, axis]) for axis in range(2))
+        if on_road(np.array([(x, y)]), 0.05)[0]:
+            continue
+        trunk = cylinder((x, y, 0.24), 0.018, 0.48, TRUNK, sides=8)
+        crown = blob(((x + mx) / 2, (y + my) / 2, 0.52), (0.38, 0.38, 0.10), FOLIAGE, rng)
+        bodies.append((f"tree_avenue_{number}", merge([trunk, crown])))
     return bodies
 
 

@@ -39,6 +39,17 @@ def test_layouts_and_seeds_differ_in_what_stands_where():
     assert all(sum(name.startswith("house") for name in plan) >= 4 for plan in plans)
 
 
+def test_an_avenue_hangs_over_the_road_and_stands_beside_it():
+    trees = {name: mesh for name, mesh in bodies(avenue=30).items() if "avenue" in name}
+    assert 20 <= len(trees) <= 30 and not any("avenue" in name for name in bodies())
+    for mesh in trees.values():
+        place, height = mesh.vertices[:, :2].astype(float), mesh.vertices[:, 2]
+        assert on_road(place[height > 0.4]).any(), "the crown"
+        assert not on_road(place[height < 0.3]).any(), "the trunk"
+    plain = bodies()
+    assert all(np.array_equal(mesh.vertices, bodies(avenue=30)[name].vertices) for name, mesh in plain.items())
+
+
 def test_displacement_moves_small_things_and_no_house():
     before, after = bodies(), bodies(displacement=0.05)
     assert list(before) == list(after)
