@@ -20,6 +20,7 @@ from aerial2ground.ground_truth import axis_depth, true_views, view_errors
 from aerial2ground.pose_refinement import PoseCorrections, pose_errors
 from aerial2ground.reconstruction import PictureRays, RoadNerf
 from aerial2ground.stages import load_nerf, load_survey
+from hashnerf.cameras import Cameras
 from hashnerf.fit import RayBatch, render_batch
 from hashnerf.metrics import psnr
 from hashnerf.posed_images import PosedImages
@@ -32,31 +33,49 @@ GROUND_VIEWS = 12
 """Views from the ground per trajectory."""
 
 
-def evaluate_run(config: AerialConfig) -> dict:
+def evaluate_run(config: AerialConfig, aerial: bool = True) -> dict:
     """Measures a run's radiance field and writes reconstruction.json; returns what it wrote.
 
-    With an embedded world behind the data set also the poses and the views from the ground, and ground_views.png: the
-    truth above, the view of the field below.
+    `aerial` asks for the held-out pictures, which take most of the time, with survey.png and aerial_view.png (held out
+    above, rendered from the aligned pose below). With an embedded world behind the data set also the poses and the
+    views from the ground, and ground_views.png: the truth above, the view of the field below.
     """
     survey = load_survey(config)
     nerf, cost = load_nerf(config, survey)
     test, train, folder = survey.test, survey.train, Path(config.dataset)
     results: dict = {"seconds": cost["seconds"], "test_pictures": len(test)}
-    if len(test):
+    if len(test) and aerial:
+        aligned = aligned_poses(nerf, test, config.seed)
         results["aerial_psnr_db"] = aerial_psnr(nerf, test, test.cameras.pose)
-        results["aerial_psnr_aligned_db"] = aerial_psnr(nerf, test, aligned_poses(nerf, test, config.seed))
+        results["aerial_psnr_aligned_db"] = aerial_psnr(nerf, test, aligned)
+        save_aerial_pictures(nerf, train, test, aligned, config.folder)
+        results["aerial_psnr_one_colour_db"] = one_colour_psnr(train, test)
     if (folder / "truth.json").is_file():
         results["poses"] = refined_pose_errors(nerf, train, true_poses(folder, train))
     if survey.data.extras.get("world") is not None and not survey.data.origin.any():
         world = world_from_description(survey.data.extras["world"])
         shares = np.arange(GROUND_VIEWS) / GROUND_VIEWS
         places = [path.poses(shares * path.length) for path in survey.trajectories.values()]
-        results["ground"], pairs = ground_errors(nerf, world, config.camera, np.concatenate(places))
+        results["ground"], pairs = ground_errors(nerf, world, config.camera, np.concatenate(places), train.cameras)
         rows = [pairs[start::GROUND_VIEWS] for start in range(0, GROUND_VIEWS, max(GROUND_VIEWS // 3, 1))]
         strips = [np.concatenate([np.concatenate(pair) for pair in row], axis=1) for row in rows]
         Image.fromarray(np.concatenate(strips)).save(config.folder / "ground_views.png")
     write_atomically(config.folder / "reconstruction.json", json.dumps(results, indent=1, allow_nan=False).encode())
     return results
+
+
+def save_aerial_pictures(
+    nerf: RoadNerf, train: PosedImages, test: PosedImages, aligned: Float[Tensor, "n 4 4"], folder: Path
+) -> None:
+    """Writes survey.png, eight of the training pictures, and aerial_view.png, held-out pictures above renderings."""
+    chosen = train.images[np.linspace(0, len(train) - 1, 8).round()].numpy()
+    rows = [np.concatenate(list(half), axis=1) for half in (chosen[:4], chosen[4:])]
+    Image.fromarray(np.concatenate(rows)).save(folder / "survey.png")
+    cameras, pairs = replace(test.cameras, pose=aligned), []
+    for index in np.unique(np.linspace(0, len(test) - 1, 3).round().astype(int)):
+        seen = nerf.view(cameras, int(index)).rgb.view(test.images[index].shape)
+        pairs.append(np.concatenate([test.images[index].numpy(), (seen * 255).round().to(torch.uint8).numpy()]))
+    Image.fromarray(np.concatenate(pairs, axis=1)).save(folder / "aerial_view.png")
 
 
 def aerial_psnr(nerf: RoadNerf, data: PosedImages, poses: Float[Tensor, "n 4 4"]) -> float:
@@ -67,6 +86,13 @@ def aerial_psnr(nerf: RoadNerf, data: PosedImages, poses: Float[Tensor, "n 4 4"]
         seen = nerf.view(cameras, index).rgb.view(picture.shape)
         values.append(psnr(seen, picture.float() / 255))
     return float(np.mean(values))
+
+
+def one_colour_psnr(train: PosedImages, test: PosedImages) -> float:
+    """Returns the mean PSNR (dB) of pictures in the mean colour of the training ones: what knowing nothing gives."""
+    colour = train.images.float().mean(dim=(0, 1, 2)) / 255
+    pictures = test.images.float() / 255
+    return float(np.mean([psnr(colour.expand_as(picture), picture) for picture in pictures]))
 
 
 def aligned_poses(nerf: RoadNerf, data: PosedImages, seed: int = 0) -> Float[Tensor, "n 4 4"]:
@@ -104,11 +130,11 @@ def refined_pose_errors(nerf: RoadNerf, data: PosedImages, truth: Float[Tensor, 
 
 
 def ground_errors(
-    nerf: RoadNerf, world: World, camera: CarCameraConfig, poses: Float[np.ndarray, "n 3"]
+    nerf: RoadNerf, world: World, camera: CarCameraConfig, poses: Float[np.ndarray, "n 3"], above: Cameras | None = None
 ) -> tuple[dict, list[tuple[np.ndarray, np.ndarray]]]:
     """Returns how far views from the ground are from the truth, and (truth, rendered) pictures beside each other."""
     cameras = car_cameras(camera, torch.from_numpy(poses))
-    truth = true_views(world, cameras)
+    truth = true_views(world, cameras, above)
     colours, depths, pairs = [], [], []
     for index, true in enumerate(truth):
         seen = nerf.view(cameras, index)

@@ -1,6 +1,6 @@
 """Drone pictures and a road network become a radiance field (aerial2ground III-B, Alg. 1)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from dataclasses import field as option
 from pathlib import Path
 
@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 
+from aerial2ground.opaque_ground import make_ground_opaque
 from aerial2ground.pose_refinement import PoseCorrections
 from aerial2ground.road_network import RoadNetwork
 from aerial2ground.road_prior import RoadPriorConfig, draw_prior
@@ -34,21 +35,27 @@ class ReconstructionConfig:
     """The grid that skips empty space."""
     march: MarchSettings = option(default_factory=lambda: MarchSettings(candidates=128, even_distance=1.0, near=0.02))
     """How rays are sampled."""
+    view_samples_per_opacity: float = 8.0
+    """Samples for each interval expected to be opaque when views are rendered; training needs more of them."""
     fit: FitConfig = option(default_factory=FitConfig)
     """Optimiser and batch."""
     road_prior: RoadPriorConfig = option(default_factory=RoadPriorConfig)
     """What is known of roads."""
     steps: int = 2000
     """Training steps (paper: 5000)."""
+    opaque_start: bool = False
+    """Start with an opaque ground at the roads' height; for towns on flat ground."""
     refine_poses: bool = True
     """Correct the told poses while training."""
     pose_learning_rate: float = 0.001
     """First step of the corrections, metres and radians."""
+    pose_every: int = 4
+    """Steps between corrections of poses: through the rays' positions, gradients cost a third of a step."""
     save_every: int = 500
     """Steps between checkpoints."""
 
     def __post_init__(self):
-        for key in ("steps", "save_every"):
+        for key in ("steps", "pose_every", "save_every"):
             if getattr(self, key) < 1:
                 raise UserError(f"reconstruction.{key} is {getattr(self, key)}; give at least 1")
         if not self.pose_learning_rate > 0:
@@ -68,9 +75,8 @@ class RoadNerf(nn.Module):
     @torch.no_grad()
     def view(self, cameras: Cameras, index: int) -> Rendering:
         """Returns what a camera sees, rows h*w in row-major order; its matrix and lens are honoured."""
-        return render_image(
-            cameras, index, self.colour_and_density, self.occupancy, self.config.march, self.field.background
-        )
+        march = replace(self.config.march, samples_per_opacity=self.config.view_samples_per_opacity)
+        return render_image(cameras, index, self.colour_and_density, self.occupancy, march, self.field.background)
 
     def colour_and_density(self, positions: Tensor, directions: Tensor, ray_index: Tensor) -> tuple[Tensor, Tensor]:
         """The field as rendering wants it."""
@@ -144,12 +150,15 @@ def train_road_nerf(
     prior, refine = config.road_prior, config.refine_poses
     flying_height = float(data.cameras.pose[:, 2, 3].median()) - (network.height if network else 0.0)
     further = [{"params": list(nerf.corrections.parameters()), "start": config.pose_learning_rate}] if refine else []
+    if config.opaque_start and network is not None:
+        make_ground_opaque(nerf.field, network.height, config.fit.seed)
     fit = FieldFit(nerf.field, nerf.occupancy, config.fit, config.march, config.steps, further=further)
 
     def draw_batch(step: int, count: int, generator: torch.Generator) -> RayBatch:
         extra = round(count * prior.share / (1 + prior.share)) if network is not None and prior.used else 0
         number, pixel = pictures.draw(count - extra, generator)
-        rays, colour = pictures.rays(number, pixel, nerf.corrections if refine else None)
+        with torch.set_grad_enabled(step % config.pose_every == 0):
+            rays, colour = pictures.rays(number, pixel, nerf.corrections if refine else None)
         if not extra or network is None:
             return RayBatch(rays, colour)
         known = draw_prior(network, prior, flying_height, extra, generator)

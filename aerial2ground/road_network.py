@@ -3,7 +3,8 @@
     "road_network": {"lines": [[[x, y], ...], ...], "width": m, "height": m (optional, 0),
                      "colour": [r, g, b] of 0..255, or one such triple per line}
 
-World frame, metres. Lines that form one town meet: the network must be connected.
+World frame, metres. Lines that form one town meet: the network must be connected. On ground that is not level all
+points are [x, y, z], and no height is told. The entry may also stand in a JSON file of its own.
 """
 
 import json
@@ -30,7 +31,10 @@ class RoadNetwork:
     lines: tuple[Float[Tensor, "_ 2"], ...]
     width: float
     height: float
+    """Metres; on ground that is not level the median of `heights`."""
     colours: Float[Tensor, "lines 3"]
+    heights: tuple[Float[Tensor, " _"], ...] | None = None
+    """Metres of every point of every line; None on level ground."""
 
     @property
     def length(self) -> float:
@@ -43,7 +47,7 @@ class RoadNetwork:
 
     def sample(self, count: int, generator: torch.Generator) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
         """Draws points spread evenly over the roads' surfaces; returns them and the colours they should have."""
-        starts, steps, colour = self._pieces()
+        starts, steps, colour, base, rise = self._pieces()
         weight = steps.norm(dim=1)
         piece = torch.multinomial(weight, count, replacement=True, generator=generator)
         along = torch.rand(count, 1, generator=generator)
@@ -51,13 +55,24 @@ class RoadNetwork:
         step = steps[piece]
         left = torch.stack([-step[:, 1], step[:, 0]], dim=1) / weight[piece, None]
         ground = starts[piece] + along * step + aside * left
-        return torch.cat([ground, torch.full((count, 1), self.height)], dim=1), colour[piece]
+        height = base[piece] + along[:, 0] * rise[piece]
+        return torch.cat([ground, height[:, None]], dim=1), colour[piece]
 
-    def _pieces(self) -> tuple[Tensor, Tensor, Tensor]:
+    def heights_at(self, points: Float[Tensor, "n 2"]) -> Float[Tensor, " n"]:
+        """Height of the road at the place on the centre lines nearest to each point, metres."""
+        starts, steps, _, base, rise = self._pieces()
+        share, away = _nearest_on(starts, steps, points.float())
+        piece = away.argmin(dim=1)
+        return base[piece] + share.gather(1, piece[:, None])[:, 0] * rise[piece]
+
+    def _pieces(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         starts = torch.cat([line[:-1] for line in self.lines])
         steps = torch.cat([line[1:] - line[:-1] for line in self.lines])
         number = torch.cat([torch.full((len(line) - 1,), i) for i, line in enumerate(self.lines)])
-        return starts, steps, self.colours[number]
+        heights = self.heights or tuple(torch.full((len(line),), self.height) for line in self.lines)
+        base = torch.cat([height[:-1] for height in heights])
+        rise = torch.cat([height[1:] - height[:-1] for height in heights])
+        return starts, steps, self.colours[number], base, rise
 
 
 def read_road_network(entry: Any, origin: Float[Tensor, " 3"], source: str) -> RoadNetwork:
@@ -80,9 +95,12 @@ def read_road_network(entry: Any, origin: Float[Tensor, " 3"], source: str) -> R
         raise UserError(f"{source}: road_network.width is {width}; give the roads' width in metres")
     if not _is_number(height):
         raise UserError(f"{source}: road_network.height is {height}; give the roads' height in metres")
-    tensors = tuple(_line(line, number, source) - origin[:2].float() for number, line in enumerate(lines))
+    points = [_line(line, number, source) for number, line in enumerate(lines)]
+    tensors = tuple(line[:, :2].float() - origin[:2].float() for line in points)
     colours = _colours(entry.get("colour"), len(lines), source)
-    network = RoadNetwork(tensors, float(width), float(height) - float(origin[2]), colours)
+    heights = _heights(points, "height" in entry, origin, source)
+    level = float(torch.cat(heights).median()) if heights else float(height) - float(origin[2])
+    network = RoadNetwork(tensors, float(width), level, colours, heights)
     apart = _unconnected(network)
     if apart:
         raise UserError(
@@ -94,17 +112,24 @@ def read_road_network(entry: Any, origin: Float[Tensor, " 3"], source: str) -> R
 
 def distance_to_line(line: Float[Tensor, "m 2"], points: Float[Tensor, "n 2"]) -> Float[Tensor, " n"]:
     """Distance of each point to a polyline."""
-    step = line[1:] - line[:-1]
-    offset = points[:, None] - line[None, :-1]
-    share = ((offset * step).sum(dim=-1) / step.square().sum(dim=-1)).clamp(0, 1)
-    return (offset - share[..., None] * step).norm(dim=-1).amin(dim=1)
+    return _nearest_on(line[:-1], line[1:] - line[:-1], points)[1].amin(dim=1)
 
 
-def network_from_geojson(path: Path, width: float, colour: Sequence[int]) -> tuple[dict, tuple[float, float]]:
+def read_road_file(path: Path) -> Any:
+    """Returns the `road_network` entry of a JSON file of its own; raises UserError for a file that is none."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: cannot be read as a road network in JSON ({error})") from error
+
+
+def network_from_geojson(
+    path: Path, width: float, colour: Sequence[int], origin: tuple[float, float] | None = None
+) -> tuple[dict, tuple[float, float]]:
     """Returns a `road_network` entry of a GeoJSON file's lines, and the longitude and latitude of its origin.
 
-    Positions become metres east and north of the middle of all points (equirectangular: good to a few centimetres over
-    a kilometre). Raises UserError for a file without lines.
+    Positions become metres east and north of `origin` (longitude, latitude), or of the middle of all points
+    (equirectangular: good to a few centimetres over a kilometre). Raises UserError for a file without lines.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -116,7 +141,7 @@ def network_from_geojson(path: Path, width: float, colour: Sequence[int]) -> tup
     points = [point for line in lines for point in line]
     if not all(len(p) >= 2 and _is_number(p[0]) and abs(p[0]) <= 180 and abs(p[1]) <= 90 for p in points):
         raise UserError(f"{path}: coordinates must be longitude and latitude in degrees (WGS 84)")
-    east, north = (sum(p[axis] for p in points) / len(points) for axis in (0, 1))
+    east, north = origin or tuple(sum(p[axis] for p in points) / len(points) for axis in (0, 1))
     metre = math.radians(1.0) * EARTH_RADIUS
     scale = (metre * math.cos(math.radians(north)), metre)
     flat = [[[(p[0] - east) * scale[0], (p[1] - north) * scale[1]] for p in line] for line in lines]
@@ -137,15 +162,38 @@ def _geojson_lines(entry: Any) -> list[list]:
     return []
 
 
-def _line(line: Any, number: int, source: str) -> Float[Tensor, "_ 2"]:
+def _line(line: Any, number: int, source: str) -> Float[Tensor, "_ axes"]:
+    """Points [x, y] or [x, y, z] that differ from the ones before them in x or y, in double precision."""
     good = isinstance(line, Sequence) and not isinstance(line, str) and len(line) >= 2
-    if not good or not all(isinstance(p, Sequence) and len(p) == 2 and all(map(_is_number, p)) for p in line):
-        raise UserError(f"{source}: road_network.lines[{number}] must be two or more points [x, y] in metres")
+    good = good and all(isinstance(p, Sequence) and len(p) in (2, 3) and all(map(_is_number, p)) for p in line)
+    if not good or len({len(p) for p in line}) > 1:
+        raise UserError(
+            f"{source}: road_network.lines[{number}] must be two or more points [x, y], or all [x, y, z], in metres"
+        )
     points = torch.tensor(line, dtype=torch.float64)
-    keep = torch.cat([torch.tensor([True]), (points[1:] - points[:-1]).norm(dim=1) > 1e-9])
+    keep = torch.cat([torch.tensor([True]), (points[1:, :2] - points[:-1, :2]).norm(dim=1) > 1e-9])
     if int(keep.sum()) < 2:
         raise UserError(f"{source}: road_network.lines[{number}] has no length")
-    return points[keep].float()
+    return points[keep]
+
+
+def _heights(
+    points: list[Tensor], height_told: bool, origin: Float[Tensor, " 3"], source: str
+) -> tuple[Float[Tensor, " _"], ...] | None:
+    if all(line.shape[1] == 2 for line in points):
+        return None
+    if height_told or any(line.shape[1] == 2 for line in points):
+        raise UserError(f"{source}: road_network tells some heights twice or not at all: give all points a z, or none")
+    return tuple((line[:, 2] - origin[2]).float() for line in points)
+
+
+def _nearest_on(
+    starts: Float[Tensor, "pieces 2"], steps: Float[Tensor, "pieces 2"], points: Float[Tensor, "n 2"]
+) -> tuple[Float[Tensor, "n pieces"], Float[Tensor, "n pieces"]]:
+    """Where on each piece the place nearest to each point lies (0 to 1), and how far away it is (m)."""
+    offset = points[:, None] - starts
+    share = ((offset * steps).sum(dim=-1) / steps.square().sum(dim=-1)).clamp(0, 1)
+    return share, (offset - share[..., None] * steps).norm(dim=-1)
 
 
 def _colours(colour: Any, count: int, source: str) -> Float[Tensor, "lines 3"]:

@@ -54,6 +54,16 @@ class RoadPriorConfig:
         return self.share > 0 and (self.colour or self.depth or self.free_space)
 
 
+_PRIOR = "--reconstruction.road_prior"
+VARIANTS = {
+    "none": (f"{_PRIOR}.share", "0"),
+    "colour": (f"{_PRIOR}.depth", "false", f"{_PRIOR}.free_space", "false"),
+    "colour_depth": (f"{_PRIOR}.free_space", "false"),
+    "full": (),
+}
+"""The parts of the prior that are compared (Fig. 5, with numbers), as options of the scripts."""
+
+
 @dataclass(frozen=True)
 class PriorBatch:
     """Rays down on roads and points above them."""

@@ -1,9 +1,9 @@
-"""The stages of aerial2ground on a data-set folder; each is resumable and does nothing when it is finished.
+"""From a data-set folder to ground views; each stage is resumable and does nothing when it is finished.
 
-runs/<name>/{config.yaml, reconstruction/, ground/<trajectory>/, policies/<trajectory>/, driving.json}.
+runs/<name>/{config.yaml, reconstruction/, ground/<trajectory>/}.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 
@@ -13,18 +13,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 from aerial2ground.config import AerialConfig
-from aerial2ground.evaluate_driving import EXPERT, Trial, drive_trials, save_drives, table_two
 from aerial2ground.ground_poses import disturbed_poses
-from aerial2ground.ground_views import Renderer, cameras_of, describe_views, load_views, nerf_renderer, render_views
-from aerial2ground.imitation import expert_steering, train_policy
-from aerial2ground.networks import NetworkConfig, PictureNetwork
+from aerial2ground.ground_views import Renderer, cameras_of, describe_views, nerf_renderer, render_views
+from aerial2ground.imitation import expert_steering
 from aerial2ground.paths import Path
 from aerial2ground.pure_pursuit import require_followable
 from aerial2ground.reconstruction import RoadNerf, train_road_nerf
-from aerial2ground.road_network import RoadNetwork, read_road_network
+from aerial2ground.road_network import RoadNetwork, read_road_file, read_road_network
 from aerial2ground.trajectories import read_trajectories
-from hashnerf.cameras import Cameras, project
-from hashnerf.checkpoints import load_checkpoint, load_module_state, module_tensors, save_checkpoint
+from hashnerf.cameras import Cameras, any_sees, project
 from hashnerf.command_line import plain_config, save_config, set_threads, usable_cores
 from hashnerf.errors import UserError
 from hashnerf.model_files import load_model
@@ -55,14 +52,19 @@ class Survey:
 
 
 def load_survey(config: AerialConfig) -> Survey:
-    """Loads the data set; raises UserError where it is not enough to reconstruct a town with roads."""
+    """Loads the data set; raises UserError where it is not enough to reconstruct a town with roads.
+
+    A reconstruction needs no trajectories: without any, `trajectories` is empty.
+    """
     set_threads(config.threads)
     seed_everything(config.seed)
     folder = FilePath(config.dataset)
-    data = load_posed_images(folder, config.image_size or None)
-    network = read_road_network(data.extras.get("road_network"), data.origin, str(folder / "transforms.json"))
     source = str(folder / "transforms.json")
-    trajectories = read_trajectories(data.extras.get("trajectories"), network, data.origin, source)
+    data = _with_box(_with_splits(load_posed_images(folder, config.image_size or None), config.test_every), config)
+    network = _road_network(config, data, source)
+    trajectories = {}
+    if data.extras.get("trajectories") is not None:
+        trajectories = read_trajectories(data.extras["trajectories"], network, data.origin, source)
     for path in trajectories.values():
         require_followable(path, config.pure_pursuit)
     survey = Survey(data, network, trajectories)
@@ -77,6 +79,40 @@ def load_survey(config: AerialConfig) -> Survey:
             f"{folder}: no picture shows any of the road network; its lines must be metres in the frame of the poses"
         )
     return survey
+
+
+def load_driven_survey(config: AerialConfig) -> Survey:
+    """Loads a data set to be driven in; raises UserError also for one without trajectories."""
+    survey = load_survey(config)
+    if not survey.trajectories:
+        source = FilePath(config.dataset) / "transforms.json"
+        raise UserError(f"{source}: has no trajectories; add the paths to be driven, name -> [[x, y], ...]")
+    return survey
+
+
+def _road_network(config: AerialConfig, data: PosedImages, source: str) -> RoadNetwork:
+    entry = data.extras.get("road_network")
+    if not config.road_network:
+        return read_road_network(entry, data.origin, source)
+    if entry is not None:
+        raise UserError(f"{source}: has a road_network of its own; leave road_network ({config.road_network}) empty")
+    return read_road_network(read_road_file(FilePath(config.road_network)), data.origin, config.road_network)
+
+
+def _with_splits(data: PosedImages, every: int) -> PosedImages:
+    if not every or any(frame.split != "train" for frame in data.frames):
+        return data
+    frames = [replace(f, split="train" if row % every else "test") for row, f in enumerate(data.frames)]
+    return replace(data, frames=tuple(frames))
+
+
+def _with_box(data: PosedImages, config: AerialConfig) -> PosedImages:
+    if not config.scene_box:
+        return data
+    box = (torch.tensor(config.scene_box, dtype=torch.float64).view(2, 3) - data.origin).float()
+    if not any_sees(data.cameras, box):
+        raise UserError(f"scene_box is {list(config.scene_box)}; no camera sees it: give metres, in the poses' frame")
+    return replace(data, scene_box=box)
 
 
 def unseen_road(cameras: Cameras, network: RoadNetwork) -> float:
@@ -141,70 +177,16 @@ class SavedField:
 
 def run_ground_views(config: AerialConfig, on_view: Callable[[int, int], None] = lambda done, total: None) -> None:
     """Stage 2: disturbed ground views along every trajectory, with what the expert would steer."""
-    survey = load_survey(config)
+    survey = load_driven_survey(config)
     field = SavedField(config, survey.data.scene_box, len(survey.train.images))
     total = config.imitation.views * len(survey.trajectories)
     for number, (name, path) in enumerate(survey.trajectories.items()):
         car = disturbed_poses(
             path, config.imitation.views, config.imitation.disturbance, np.random.default_rng([config.seed, number])
         )
-        cameras = cameras_of(config.camera, car, survey.network.height)
+        cameras = cameras_of(config.camera, car, survey.network.heights_at(torch.from_numpy(car.poses[:, :2])))
         folder, before = config.folder / "ground" / name, number * config.imitation.views
         workers = config.workers or usable_cores()
         render_views(field, cameras, folder, workers, lambda done, _, before=before: on_view(before + done, total))
         wanted = expert_steering(path, car, config.pure_pursuit)
         describe_views(cameras, car, wanted, folder, survey.data.scene_box, {})
-
-
-def run_policies(config: AerialConfig) -> None:
-    """Stage 3: a steering network for every trajectory, from ground views alone."""
-    survey = load_survey(config)
-    for number, name in enumerate(survey.trajectories):
-        views = load_views(config.folder / "ground" / name)
-        network = train_policy(
-            [views.pictures],
-            [views.steering],
-            config.imitation.task,
-            config.car.steering_limit,
-            config.seed * 101 + number,
-        )
-        save_network(config.folder / "policies" / name, network)
-
-
-def run_driving(config: AerialConfig, seeds: Sequence[int]) -> dict:
-    """Stage 4: the networks and the expert drive in the deployment town; returns Table II.
-
-    Raises UserError for a data set that was not rendered from an embedded world.
-    """
-    survey = load_survey(config)
-    description = survey.data.extras.get("world")
-    if description is None:
-        raise UserError(f"{config.dataset}: was not rendered from an embedded world, so it cannot be driven in")
-    trials = []
-    for name, path in survey.trajectories.items():
-        network = load_network(config.folder / "policies" / name, config.imitation.task.network)
-        trials += [
-            Trial(name, method, seed, path, one)
-            for method, one in ((EXPERT, None), ("ours", network))
-            for seed in seeds
-        ]
-    origin = (float(survey.data.origin[0]), float(survey.data.origin[1]))
-    drives = drive_trials(config, description, origin, trials, config.workers or usable_cores())
-    save_drives(config, trials, drives)
-    return table_two(trials, drives)
-
-
-def save_network(folder: FilePath, network: PictureNetwork) -> None:
-    """Saves a network with the size of its pictures."""
-    about = {"height": network.height, "width": network.width, "outputs": network.head[-1].out_features}
-    save_checkpoint(folder, 0, module_tensors(network, "network"), about, keep=1)
-
-
-def load_network(folder: FilePath, config: NetworkConfig) -> PictureNetwork:
-    """Loads a network; raises UserError where there is none."""
-    if not folder.is_dir():
-        raise UserError(f"{folder}: no trained network here; run scripts/train_policy.py first")
-    _, tensors, about = load_checkpoint(folder)
-    network = PictureNetwork(config, about["height"], about["width"], about["outputs"])
-    load_module_state(network, tensors, "network")
-    return network.eval()

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from aerial2ground.car_camera import CarCameraConfig, car_cameras
-from aerial2ground.ground_truth import NEAR, axis_depth, true_views, view_errors
+from aerial2ground.ground_truth import NEAR, axis_depth, seen_from, true_views, view_errors
+from hashnerf.cameras import Cameras, look_at
 from worlds.mini_city import MiniCityConfig, build_mini_city
 
 TOWN = build_mini_city(MiniCityConfig(), 0)
@@ -15,6 +16,33 @@ CAMERAS = car_cameras(
     CarCameraConfig(width=32, height=18), torch.tensor([[1.9, 0.575, 0.0], [3.175, 2.0, math.pi / 2]])
 )
 VIEWS = true_views(TOWN, CAMERAS)
+
+
+def test_hidden_road_is_what_lies_under_a_crown():
+    town = build_mini_city(MiniCityConfig(avenue=20), 0)
+    down = look_at(torch.tensor([2.0, 0.75, 2.4]), torch.tensor([2.0, 0.751, 0.0]), torch.tensor([0.0, 1.0, 0.0]))
+    above = Cameras(down[None], torch.full((1, 2), 60.0), torch.full((1, 2), 40.0), torch.zeros(1, 4), 80, 80)
+    points = torch.tensor([[2.0 + 0.1 * i, 0.75, 0.0] for i in range(-6, 7)])
+    seen = seen_from(town, above, points)
+    # straight down: what hides a point is what a ray up from it meets
+    eye = above.pose[0, :3, 3]
+    way = torch.nn.functional.normalize(eye - points, dim=1)
+    origins = (points + 1e-3 * way).numpy()
+    expected = [np.isinf(town.stage.caster.cast(origins[i : i + 1], way[i : i + 1].numpy())[0][0]) for i in range(13)]
+    assert seen.tolist() == expected and 0 < sum(expected) < 13
+    assert not seen_from(town, above, torch.tensor([[5.2, 4.0, 0.0]])).any(), "outside the picture"
+
+
+def test_only_road_is_hidden_and_its_error_counts_alone():
+    town = build_mini_city(MiniCityConfig(avenue=60), 0)
+    cameras = car_cameras(CarCameraConfig(width=32, height=18), torch.tensor([[2.0, 0.575, 0.0]]))
+    view = true_views(town, cameras, town.rig.cameras.select([0, 60]))[0]
+    assert view.hidden.any() and not (view.hidden & ~view.road).any()
+    wrong = torch.where(view.hidden[..., None], 1.0, 0.0) * 0.1 + view.rgb.float() / 255
+    errors = view_errors([view], [wrong], [view.depth])
+    assert errors.hidden_road_psnr_db == pytest.approx(20.0, abs=0.01)
+    assert errors.hidden_road_share == pytest.approx(float(view.hidden.sum() / view.road.sum()))
+    assert VIEWS[0].hidden.sum() == 0 and view_errors(VIEWS, *moved(0.0)).hidden_road_psnr_db is None
 
 
 def moved(by: float):

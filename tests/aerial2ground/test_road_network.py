@@ -2,11 +2,18 @@
 
 import json
 import math
+from pathlib import Path
 
 import pytest
 import torch
 
-from aerial2ground.road_network import EARTH_RADIUS, distance_to_line, network_from_geojson, read_road_network
+from aerial2ground.road_network import (
+    EARTH_RADIUS,
+    distance_to_line,
+    network_from_geojson,
+    read_road_file,
+    read_road_network,
+)
 from hashnerf.errors import UserError
 
 HERE = torch.zeros(3, dtype=torch.float64)
@@ -27,6 +34,71 @@ def test_a_network_as_told():
 def test_loading_moves_it_with_the_poses():
     moved = read_road_network(ENTRY, torch.tensor([10.0, 20.0, 0.5], dtype=torch.float64), "x")
     assert moved.lines[0].tolist() == [[-10, -20], [-6, -20]] and moved.height == 0.0
+
+
+HILLY = [[[0, 0, 1.0], [4, 0, 3.0]], [[4, 0, 3.0], [4, 2, 2.0]]]
+
+
+def hilly(**changes):
+    entry = {key: value for key, value in ENTRY.items() if key != "height"} | {"lines": HILLY}
+    return read_road_network(entry | changes, HERE, "town/transforms.json")
+
+
+def test_heights_of_a_road_that_rises():
+    roads = hilly()
+    assert roads.length == 6.0 and roads.height == 2.0, "lengths are those of the map; the median of 1, 2, 3, 3"
+    # a quarter of the first line: 1 + 2 / 4; beside its middle: 2; past its end: 3; half of the second: 2.5
+    places = torch.tensor([[1.0, 0.0], [2.0, -0.5], [5.0, -1.0], [4.5, 1.0]])
+    assert roads.heights_at(places).tolist() == [1.5, 2.0, 3.0, 2.5]
+    points, _ = roads.sample(500, torch.Generator().manual_seed(0))
+    first = points[points[:, 0] < 3.4]
+    assert torch.allclose(first[:, 2], 1 + first[:, 0] / 2, atol=1e-5)
+    level, _ = network().sample(500, torch.Generator().manual_seed(0))
+    assert torch.equal(level[:, :2], points[:, :2]), "heights change no place"
+
+
+def test_level_roads_have_one_height_everywhere():
+    assert network().heights is None
+    assert network().heights_at(torch.tensor([[1.0, 0.0], [90.0, 7.0]])).tolist() == [0.5, 0.5]
+
+
+def test_loading_moves_heights_with_the_poses():
+    entry = {"lines": HILLY, "width": 1.0, "colour": [9, 9, 9]}
+    moved = read_road_network(entry, torch.tensor([10.0, 20.0, 0.5], dtype=torch.float64), "x")
+    assert [height.tolist() for height in moved.heights] == [[0.5, 2.5], [2.5, 1.5]] and moved.height == 1.5
+    assert moved.lines[0].tolist() == [[-10, -20], [-6, -20]]
+
+
+@pytest.mark.parametrize(
+    "changes, sentence",
+    [
+        ({"height": 1.0}, "tells some heights twice or not at all"),
+        ({"lines": [HILLY[0], [[4, 0], [4, 2]]]}, "tells some heights twice or not at all"),
+        ({"lines": [[[0, 0, 1], [4, 0]]]}, "or all [x, y, z], in metres"),
+        ({"lines": [[[0, 0, 1], [0, 0, 3]]]}, "lines[0] has no length"),
+    ],
+)
+def test_bad_heights_are_named(changes, sentence):
+    with pytest.raises(UserError) as caught:
+        hilly(**changes)
+    assert sentence in str(caught.value)
+
+
+def test_a_file_of_its_own(tmp_path):
+    file = tmp_path / "roads.json"
+    file.write_text(json.dumps(ENTRY))
+    assert read_road_file(file) == ENTRY
+    file.write_text("{")
+    with pytest.raises(UserError, match="cannot be read as a road network in JSON"):
+        read_road_file(file)
+    with pytest.raises(UserError, match="nowhere"):
+        read_road_file(tmp_path / "nowhere.json")
+
+
+def test_the_roads_that_come_with_the_project():
+    file = Path(__file__).resolve().parents[2] / "configs" / "aerial2ground" / "caliterra_roads.json"
+    roads = read_road_network(read_road_file(file), HERE, str(file))
+    assert 200 < roads.length < 350 and all(-1 < float(height.min()) < 1 for height in roads.heights)
 
 
 def test_points_lie_on_roads_evenly_and_know_their_colour():
@@ -82,6 +154,15 @@ def test_geojson_becomes_metres(tmp_path):
     expected = 0.002 * degree * math.cos(math.radians(north)) + 0.001 * degree
     assert roads.length == pytest.approx(expected, rel=1e-4) and east == pytest.approx(10.0013333)
     assert entry["lines"][0][1][0] > entry["lines"][0][0][0], "east is +x"
+
+
+def test_geojson_from_a_given_origin(tmp_path):
+    file = tmp_path / "roads.geojson"
+    file.write_text(json.dumps({"type": "LineString", "coordinates": [[10.0, 60.0], [10.0, 60.001]]}))
+    entry, origin = network_from_geojson(file, 5.0, [90, 90, 90], (10.0, 59.999))
+    metre = 0.001 * math.radians(1) * EARTH_RADIUS
+    assert origin == (10.0, 59.999)
+    assert entry["lines"][0] == [[0.0, pytest.approx(metre, rel=1e-6)], [0.0, pytest.approx(2 * metre, rel=1e-6)]]
 
 
 @pytest.mark.parametrize(

@@ -3,17 +3,17 @@
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
+from aerial2ground.evaluation_stages import run_driving
 from aerial2ground.ground_views import load_views
+from aerial2ground.learning_stages import run_drives, run_localisers, run_policies
 from aerial2ground.pure_pursuit import PurePursuitConfig
 from aerial2ground.stages import (
-    load_network,
     load_survey,
-    run_driving,
     run_ground_views,
-    run_policies,
     unseen_road,
 )
 from hashnerf.errors import UserError
@@ -34,28 +34,12 @@ def edited(tiny_run, tmp_path):
     return edit
 
 
-def test_views_policies_and_drives(tiny_run):
+def test_ground_views_have_poses_and_labels(tiny_run):
     calls = []
     run_ground_views(tiny_run, lambda done, total: calls.append((done, total)))
     assert calls[-1] == (18, 18)
     views = load_views(tiny_run.folder / "ground" / "outer_loop")
     assert views.pictures.shape == (6, 18, 32, 3) and abs(views.steering).max() <= tiny_run.car.steering_limit
-    run_policies(tiny_run)
-    network = load_network(tiny_run.folder / "policies" / "left_turns", tiny_run.imitation.task.network)
-    assert (network.height, network.width) == (18, 32)
-    table = run_driving(tiny_run, [0])
-    assert set(table) == {"outer_loop", "left_turns", "right_turns"}
-    expert = table["outer_loop"]["expert"]
-    assert expert["interventions"] == 0 and expert["pos_m"] < 0.05
-    saved = json.loads((tiny_run.folder / "driving.json").read_text())
-    assert saved["table2"] == table and len(saved["tracks"]) == 6
-
-
-def test_stages_in_the_wrong_order_name_the_script(tiny_run):
-    with pytest.raises(UserError, match="run scripts/make_ground_views"):
-        run_policies(tiny_run)
-    with pytest.raises(UserError, match="run scripts/train_policy"):
-        run_driving(tiny_run, [0])
 
 
 def test_every_road_is_seen_and_a_shifted_one_is_not(tiny_run):
@@ -75,7 +59,6 @@ def far_away(document):
     "change, sentence",
     [
         (lambda d: d.pop("road_network"), "has no road_network"),
-        (lambda d: d.pop("trajectories"), "has no trajectories"),
         (far_away, "no picture shows any of the road network"),
         (lambda d: [f.update(split="test") for f in d["frames"][3:]], "has 3 training pictures, too few"),
     ],
@@ -85,14 +68,48 @@ def test_data_sets_that_are_not_enough(edited, change, sentence):
         load_survey(edited(change))
 
 
+def test_without_trajectories_there_is_a_field_but_nothing_to_drive(edited):
+    config = edited(lambda d: d.pop("trajectories"))
+    assert load_survey(config).trajectories == {}
+    for stage in (run_ground_views, run_policies, run_localisers, run_drives, run_driving):
+        with pytest.raises(UserError, match="has no trajectories; add"):
+            stage(config)
+
+
+def without_our_keys(document):
+    for key in ("road_network", "trajectories", "world"):
+        document.pop(key)
+    for frame in document["frames"]:
+        frame.pop("split", None)
+
+
+def test_plain_photographs_with_roads_in_a_file_of_their_own(edited, tiny_run, tmp_path):
+    told = load_survey(tiny_run)
+    entry = json.loads((Path(tiny_run.dataset) / "transforms.json").read_text())["road_network"]
+    (tmp_path / "roads.json").write_text(json.dumps(entry))
+    config = edited(without_our_keys)
+    assert len(load_survey(replace(config, road_network=str(tmp_path / "roads.json"))).test) == 0
+    box = (-9.0, -9.0, -1.0, 9.0, 9.0, 2.0)
+    config = replace(config, road_network=str(tmp_path / "roads.json"), test_every=8, scene_box=box)
+    survey = load_survey(config)
+    assert survey.network.length == told.network.length
+    assert [row for row, frame in enumerate(survey.data.frames) if frame.split == "test"] == [0, 8, 16]
+    assert survey.data.scene_box.tolist() == [[-9, -9, -1], [9, 9, 2]]
+    with pytest.raises(UserError, match="no camera sees it"):
+        load_survey(replace(config, scene_box=(900.0, 900.0, 0.0, 901.0, 901.0, 1.0)))
+
+
+def test_splits_of_the_data_set_stay(tiny_run):
+    told = [frame.split for frame in load_survey(tiny_run).data.frames]
+    assert "test" in told
+    assert [frame.split for frame in load_survey(replace(tiny_run, test_every=2)).data.frames] == told
+
+
+def test_two_road_networks_are_one_too_many(tiny_run):
+    with pytest.raises(UserError, match="has a road_network of its own"):
+        load_survey(replace(tiny_run, road_network="roads.json"))
+
+
 def test_a_path_shorter_than_the_look_ahead(tiny_run):
     with pytest.raises(UserError, match=r"shorter than pure_pursuit\.look_ahead"):
         load_survey(replace(tiny_run, pure_pursuit=PurePursuitConfig(look_ahead=50.0)))
-
-
-def test_photographs_cannot_be_driven_in(edited):
-    config = edited(lambda d: d.pop("world"))
-    run_ground_views(config)
-    run_policies(config)
-    with pytest.raises(UserError, match="not rendered from an embedded world"):
-        run_driving(config, [0])
