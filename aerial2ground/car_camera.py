@@ -27,6 +27,8 @@ class CarCameraConfig:
     """Metres ahead of the rear axle, which is where the car's pose is."""
     pitch: float = -6.0
     """Degrees above the horizon."""
+    depth_range: float = 4.0
+    """Metres that a depth channel tells apart; only used where the network reads depth."""
 
     def __post_init__(self):
         for key in ("width", "height"):
@@ -36,6 +38,8 @@ class CarCameraConfig:
             raise UserError(f"camera.field_of_view is {self.field_of_view}; give 10 to 150 degrees")
         if not 0 < self.above_road < 10:
             raise UserError(f"camera.above_road is {self.above_road}; give a positive number of metres")
+        if not 0 < self.depth_range <= 65:
+            raise UserError(f"camera.depth_range is {self.depth_range}; give more than 0 and at most 65 metres")
         if not -80 <= self.pitch <= 80:
             raise UserError(f"camera.pitch is {self.pitch}; give -80 to 80 degrees")
 
@@ -43,7 +47,7 @@ class CarCameraConfig:
 def car_cameras(
     config: CarCameraConfig,
     poses: Float[Tensor, "n 3"],
-    road_height: float = 0.0,
+    road_height: float | Float[Tensor, " n"] = 0.0,
     tilt: Float[Tensor, "n 2"] | None = None,
 ) -> Cameras:
     """Returns the camera of a car at each pose (x, y, yaw); `tilt` adds metres up and radians up."""

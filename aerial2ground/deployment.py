@@ -9,8 +9,9 @@ from jaxtyping import Bool, Float, UInt8
 
 from aerial2ground.car import CarConfig, CarState
 from aerial2ground.car_camera import CarCameraConfig, car_cameras
+from aerial2ground.depth_channel import with_depth
 from aerial2ground.ground_truth import FLAT
-from worlds.camera_effects import CameraEffects, photographed
+from worlds.camera_effects import CameraEffects, DepthEffects, depth_measured, photographed
 from worlds.mini_city import MiniCityConfig, build_mini_city
 from worlds.scene import Scene, World
 from worlds.shading import Light
@@ -29,31 +30,49 @@ class DeploymentConfig:
     """How far small things were moved, metres."""
     camera: CameraEffects = field(default_factory=lambda: CameraEffects(0.3, 0.06, 0.02, 0.02))
     """The car's camera against the drone's."""
+    depth: DepthEffects = field(default_factory=lambda: DepthEffects(0.005, 0.01))
+    """The car's depth camera against the true depth; only used where the network reads depth."""
 
 
 class Deployment:
-    """The town as the car meets it."""
+    """The town as the car meets it; positions are those of a loaded data set, `origin` less than the town's own."""
 
-    def __init__(self, town: World, config: DeploymentConfig, camera: CarCameraConfig, car: CarConfig, seed: int):
+    def __init__(
+        self,
+        town: World,
+        config: DeploymentConfig,
+        camera: CarCameraConfig,
+        car: CarConfig,
+        seed: int,
+        origin: tuple[float, float] = (0.0, 0.0),
+        depth: bool = False,
+    ):
         assert isinstance(town.config, MiniCityConfig)
         changed = replace(town.config, light=config.light, displacement=config.displacement)
         self.world = build_mini_city(changed, town.seed)
-        self.config, self.camera, self.car = config, camera, car
+        self.config, self.camera, self.car, self.origin = config, camera, car, np.array(origin)
         self.rng = np.random.default_rng(seed)
+        # of its own, so that the colours do not depend on whether depth is looked at
+        self.depth_rng = np.random.default_rng([seed, 1]) if depth else None
         self.scene = Scene(self.world, {})
         self.obstacles = _standing(self.world)
 
-    def look(self, state: CarState) -> UInt8[np.ndarray, "h w 3"]:
-        """What the car's camera sees."""
-        cameras = car_cameras(self.camera, torch.tensor([[state.x, state.y, state.yaw]], dtype=torch.float64))
-        rgb = self.scene.render(cameras).rgb
+    def look(self, state: CarState) -> UInt8[np.ndarray, "h w c"]:
+        """What the car's camera sees; with depth, as it is measured, in a fourth channel."""
+        x, y = self.origin + state.pose[:2]
+        cameras = car_cameras(self.camera, torch.tensor([[x, y, state.yaw]], dtype=torch.float64))
+        view = self.scene.render(cameras)
         # a turn by d radians moves the middle of the picture by focal * d pixels
         rate = state.speed * math.tan(state.steering) / self.car.wheelbase
-        return photographed(rgb, self.config.camera, float(cameras.focal[0, 0]) * rate, self.rng)
+        rgb = photographed(view.rgb, self.config.camera, float(cameras.focal[0, 0]) * rate, self.rng)
+        if self.depth_rng is None:
+            return rgb
+        depth = depth_measured(view.depth, self.config.depth, self.depth_rng)
+        return with_depth(rgb, depth, self.camera.depth_range)
 
     def touches(self, corners: Float[np.ndarray, "4 2"]) -> bool:
         """Whether a body with these corners touches anything that stands in the town."""
-        return bool(inside(corners, self.obstacles).any())
+        return bool(inside(corners + self.origin, self.obstacles).any())
 
 
 def inside(corners: Float[np.ndarray, "4 2"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:

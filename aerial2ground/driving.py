@@ -15,7 +15,7 @@ from jaxtyping import Float, UInt8
 from aerial2ground.car import CarConfig, CarState, advance, footprint
 from aerial2ground.ground_poses import shifted
 from aerial2ground.paths import Path
-from aerial2ground.pure_pursuit import LowPass, PurePursuitConfig
+from aerial2ground.pure_pursuit import LowPass, PurePursuitConfig, near_path, speed
 from hashnerf.errors import UserError
 
 Look = Callable[[CarState], UInt8[np.ndarray, "h w c"]]
@@ -59,7 +59,15 @@ class Drive:
     lateral: Float[np.ndarray, " moments"]
     heading: Float[np.ndarray, " moments"]
     track: Float[np.ndarray, "moments 2"]
-    interventions: int
+    motion: Float[np.ndarray, "motions 4"]
+    """Time (s) and pose (x, y, yaw) of the rear axle, `motion_ticks` of them per moment, from the start on."""
+    put_back: Float[np.ndarray, "interventions 2"]
+    """Where somebody intervened."""
+
+    @property
+    def interventions(self) -> int:
+        """How often somebody intervened."""
+        return len(self.put_back)
 
     @property
     def position_rmse(self) -> float:
@@ -76,22 +84,30 @@ def drive(
     policy: Policy,
     look: Look,
     touches: Touches,
+    obstacles: Float[np.ndarray, "n 2"],
     path: Path,
     config: DriveConfig,
     car: CarConfig,
     pursuit: PurePursuitConfig,
     rng: np.random.Generator,
 ) -> Drive:
-    """Drives `config.laps` laps from a disturbed start; `look` renders what the camera sees."""
+    """Drives `config.laps` laps from a disturbed start; `look` renders what the camera sees.
+
+    The speed is not the policy's: it is nominal, and less near `obstacles` (x, y) ahead (III-C).
+    """
     state = _start(path, config, pursuit, rng)
     smooth = LowPass(pursuit.low_pass)
-    lateral, heading, track = [], [], []
-    interventions, travelled, last = 0, 0.0, path.nearest(state.pose[:2])[0]
-    longest = int(3 * config.laps * path.length / (pursuit.speed * config.tick)) + 1
+    lateral, heading, track, put_back = [], [], [], []
+    step = config.tick / config.motion_ticks
+    motion = [(0.0, *state.pose)]
+    travelled, last = 0.0, path.nearest(state.pose[:2])[0]
+    near = near_path(path, obstacles, pursuit)
+    longest = int(3 * config.laps * path.length / (pursuit.slow_speed * config.tick)) + 1
     for _ in range(longest):
-        command = smooth(policy(look(state), state))
+        command, pace = smooth(policy(look(state), state)), speed(path, state.pose, near, pursuit)
         for _ in range(config.motion_ticks):
-            state = advance(state, command, pursuit.speed, config.tick / config.motion_ticks, car)
+            state = advance(state, command, pace, step, car)
+            motion.append((len(motion) * step, *state.pose))
         s, left = path.nearest(state.pose[:2])
         error = math.remainder(state.yaw - float(path.poses(np.array([s]))[0, 2]), 2 * math.pi)
         lateral.append(abs(left))
@@ -100,13 +116,15 @@ def drive(
         travelled += math.remainder(s - last, path.length) if path.closed else s - last
         last = s
         if abs(left) > config.intervention or touches(footprint(state.pose, car)):
-            interventions += 1
+            put_back.append((state.x, state.y))
             x, y, yaw = path.poses(np.array([s]))[0]
             state = CarState(float(x), float(y), float(yaw), state.speed)
             smooth = LowPass(pursuit.low_pass)
         if travelled >= config.laps * path.length - 1e-6 or (not path.closed and s >= path.length - 0.02):
             break
-    return Drive(np.array(lateral), np.array(heading), np.array(track), interventions)
+    return Drive(
+        np.array(lateral), np.array(heading), np.array(track), np.array(motion), np.array(put_back).reshape(-1, 2)
+    )
 
 
 def _start(path: Path, config: DriveConfig, pursuit: PurePursuitConfig, rng: np.random.Generator) -> CarState:

@@ -4,24 +4,21 @@ Positions are those of the loaded data set; the town's own differ by the origin 
 """
 
 import json
-import multiprocessing
-import signal
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
-from aerial2ground.car import CarState
 from aerial2ground.config import AerialConfig
 from aerial2ground.deployment import Deployment
-from aerial2ground.driving import Drive, drive
+from aerial2ground.driving import Drive, Policy, drive
 from aerial2ground.imitation import expert_policy, network_policy
 from aerial2ground.networks import PictureNetwork
 from aerial2ground.paths import Path
 from hashnerf.transforms_json import write_atomically
+from hashnerf.worker_processes import map_in_processes
 from worlds.scenarios import world_from_description
+from worlds.scene import World
 
 EXPERT = "expert"
 
@@ -41,39 +38,38 @@ def drive_trials(
     config: AerialConfig, description: Mapping, origin: tuple[float, float], trials: Sequence[Trial], workers: int
 ) -> list[Drive]:
     """Drives every trial; results come in the order of `trials`."""
-    if workers == 1:
-        runner = _Runner(config, description, origin)
-        return [runner(trial) for trial in trials]
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _start, (config, description, origin)) as pool:
-        return list(pool.map(_work, trials))
+    return list(map_in_processes(_Runner(config, description, origin), trials, workers))
 
 
+@dataclass(frozen=True)
 class _Runner:
-    """Drives trials in one process."""
+    """Drives trials; small enough to be sent to another process."""
 
-    def __init__(self, config: AerialConfig, description: Mapping, origin: tuple[float, float]):
-        self.config, self.origin = config, origin
-        self.town = world_from_description(description)
+    config: AerialConfig
+    description: Mapping
+    origin: tuple[float, float]
 
-    def __call__(self, trial: Trial) -> Drive:
-        config, (east, north) = self.config, self.origin
-        town = Deployment(self.town, config.deployment, config.camera, config.car, trial.seed)
-        limit = config.car.steering_limit
-        policy = (
-            expert_policy(trial.path, config.pure_pursuit)
-            if trial.network is None
-            else network_policy(trial.network.eval(), limit)
-        )
+    def __call__(self) -> Callable[[Trial], Drive]:
+        town = world_from_description(self.description)
 
-        def look(state: CarState) -> np.ndarray:
-            return town.look(replace(state, x=state.x + east, y=state.y + north))
+        def run(trial: Trial) -> Drive:
+            limit, pursuit = self.config.car.steering_limit, self.config.pure_pursuit
+            network = trial.network
+            policy = expert_policy(trial.path, pursuit) if network is None else network_policy(network.eval(), limit)
+            return drive_in(self.config, town, self.origin, policy, trial.path, trial.seed, self.config.drive.laps)
 
-        def touches(corners: np.ndarray) -> bool:
-            return town.touches(corners + np.array(self.origin))
+        return run
 
-        rng = np.random.default_rng([trial.seed, len(trial.trajectory)])
-        return drive(policy, look, touches, trial.path, config.drive, config.car, config.pure_pursuit, rng)
+
+def drive_in(
+    config: AerialConfig, town: World, origin: tuple[float, float], policy: Policy, path: Path, seed: int, laps: int
+) -> Drive:
+    """Drives one policy along a path in the town as it is now; starts and noise depend on `seed` and path alone."""
+    depth = config.imitation.task.network.depth or config.localisation.task.network.depth
+    now = Deployment(town, config.deployment, config.camera, config.car, seed, origin, depth)
+    rng = np.random.default_rng([seed, round(path.length * 1000)])
+    settings = (replace(config.drive, laps=laps), config.car, config.pure_pursuit)
+    return drive(policy, now.look, now.touches, now.obstacles - now.origin, path, *settings, rng)
 
 
 def table_two(trials: Sequence[Trial], drives: Sequence[Drive]) -> dict:
@@ -96,30 +92,19 @@ def table_two(trials: Sequence[Trial], drives: Sequence[Drive]) -> dict:
 
 
 def save_drives(config: AerialConfig, trials: Sequence[Trial], drives: Sequence[Drive]) -> None:
-    """Writes driving.json: the table and every track."""
+    """Writes driving.json: the table, the paths, every track with its errors, and where somebody intervened."""
     tracks = [
         {
             "trajectory": trial.trajectory,
             "method": trial.method,
             "seed": trial.seed,
             "track": one.track.round(3).tolist(),
+            "lateral": one.lateral.round(4).tolist(),
+            "heading": one.heading.round(4).tolist(),
+            "put_back": one.put_back.round(3).tolist(),
         }
         for trial, one in zip(trials, drives)
     ]
-    document = {"table2": table_two(trials, drives), "tracks": tracks}
+    paths = {trial.trajectory: trial.path.points.round(3).tolist() for trial in trials}
+    document = {"table2": table_two(trials, drives), "paths": paths, "tracks": tracks}
     write_atomically(config.folder / "driving.json", json.dumps(document, allow_nan=False).encode())
-
-
-_runner: _Runner | None = None
-
-
-def _start(config: AerialConfig, description: Mapping, origin: tuple[float, float]) -> None:
-    global _runner
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
-    torch.set_num_threads(1)
-    _runner = _Runner(config, description, origin)
-
-
-def _work(trial: Trial) -> Drive:
-    assert _runner is not None
-    return _runner(trial)

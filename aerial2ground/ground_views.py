@@ -5,19 +5,17 @@ The folder is a posed-image data set like any other (transforms.json, images/, d
 again, so an interrupted call continues.
 """
 
-import multiprocessing
-import signal
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from aerial2ground.car_camera import CarCameraConfig, car_cameras
+from aerial2ground.depth_channel import with_depth
 from aerial2ground.ground_poses import GroundPoses
 from aerial2ground.ground_truth import axis_depth
 from aerial2ground.reconstruction import RoadNerf
@@ -25,6 +23,7 @@ from hashnerf.cameras import Cameras
 from hashnerf.errors import UserError
 from hashnerf.image_files import read_depth, read_rgb, resolve_inside, write_png
 from hashnerf.transforms_json import read_transforms, write_transforms
+from hashnerf.worker_processes import map_in_processes
 
 Picture = tuple[UInt8[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]
 Renderer = Callable[[Cameras, int], Picture]
@@ -53,12 +52,10 @@ def render_views(
     on_view: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
     """Writes images/ and depth/ of every camera that has none yet; `make_renderer` is called once a process."""
-    for name in ("images", "depth"):
-        (folder / name).mkdir(parents=True, exist_ok=True)
     missing = [index for index in range(len(cameras)) if not is_there(folder, index)]
     done = len(cameras) - len(missing)
     on_view(done, len(cameras))
-    for _ in _written(make_renderer, cameras, folder, missing, workers):
+    for _ in map_in_processes(_Writer(make_renderer, cameras, folder), missing, workers, chunk=8):
         done += 1
         on_view(done, len(cameras))
 
@@ -81,11 +78,13 @@ def describe_views(
     scene_box: Float[Tensor, "2 3"],
     extras: dict,
 ) -> None:
-    """Writes transforms.json beside the pictures."""
+    """Writes transforms.json beside the pictures; `extras` are further entries of it."""
     frames = []
     for index in range(len(cameras)):
         name = view_name(index)
-        frame = {"file_path": f"images/{name}", "depth_path": f"depth/{name}", "branch": 0, "step": 0, "camera": index}
+        frame = {"file_path": f"images/{name}", "branch": 0, "step": 0, "camera": index}
+        if (folder / "depth" / name).is_file():
+            frame["depth_path"] = f"depth/{name}"
         frame |= {"split": "train", "transform_matrix": cameras.pose[index].tolist()}
         frame |= {"car_pose": car.poses[index].tolist(), "arc": float(car.arc[index])}
         frames.append(frame | {"steering": float(steering[index])})
@@ -95,15 +94,37 @@ def describe_views(
     write_transforms(folder / "transforms.json", document)
 
 
+def join_views(folder: FilePath, parts: Sequence[str], extras: dict) -> None:
+    """Writes one transforms.json for the views in several folders below `folder`."""
+    documents = [read_transforms(folder / part / "transforms.json") for part in parts]
+    frames = [
+        frame | {key: f"{part}/{frame[key]}" for key in ("file_path", "depth_path") if key in frame}
+        for part, document in zip(parts, documents)
+        for frame in document["frames"]
+    ]
+    frames = [frame | {"camera": number} for number, frame in enumerate(frames)]
+    write_transforms(folder / "transforms.json", documents[0] | extras | {"frames": frames})
+
+
 @dataclass(frozen=True)
 class GroundViews:
     """A set of ground views in memory."""
 
     pictures: UInt8[Tensor, "n h w 3"]
     depth: Float[Tensor, "n h w"]
+    """Metres along the optical axis, 0 where nothing is, NaN where it was not measured."""
     poses: Float[np.ndarray, "n 3"]
     arc: Float[np.ndarray, " n"]
     steering: Float[np.ndarray, " n"]
+
+    @property
+    def sky(self) -> Bool[Tensor, "n h w"]:
+        """Where nothing is."""
+        return self.depth == 0
+
+    def rgbd(self, depth_range: float) -> UInt8[Tensor, "n h w 4"]:
+        """Returns the pictures with depth up to `depth_range` metres as a fourth channel."""
+        return torch.from_numpy(with_depth(self.pictures.numpy(), self.depth.numpy(), depth_range))
 
 
 def load_views(folder: FilePath) -> GroundViews:
@@ -117,8 +138,10 @@ def load_views(folder: FilePath) -> GroundViews:
     if any("car_pose" not in frame for frame in frames):
         raise UserError(f"{path}: frames lack car_pose; these are no ground views")
     pictures = np.stack([read_rgb(resolve_inside(folder, frame["file_path"])) for frame in frames])
-    depths = [read_depth(resolve_inside(folder, frame["depth_path"])) for frame in frames]
-    depth = np.stack(depths).astype(np.float32) / 1000
+    depth = np.full(pictures.shape[:3], np.nan, np.float32)
+    for number, frame in enumerate(frames):
+        if "depth_path" in frame:
+            depth[number] = read_depth(resolve_inside(folder, frame["depth_path"])) / 1000
     return GroundViews(
         torch.from_numpy(pictures),
         torch.from_numpy(depth),
@@ -128,47 +151,36 @@ def load_views(folder: FilePath) -> GroundViews:
     )
 
 
-def cameras_of(camera: CarCameraConfig, car: GroundPoses, road_height: float) -> Cameras:
+def cameras_of(camera: CarCameraConfig, car: GroundPoses, road_height: float | Float[Tensor, " n"]) -> Cameras:
     """Returns the car's camera at every pose."""
     return car_cameras(camera, torch.from_numpy(car.poses), road_height, torch.from_numpy(car.tilt))
 
 
-_worker: tuple[Renderer, Cameras, FilePath] | None = None
+@dataclass(frozen=True)
+class _Writer:
+    """Renders a view and writes its files; small enough to be sent to another process."""
+
+    make_renderer: Callable[[], Renderer]
+    cameras: Cameras
+    folder: FilePath
+
+    def __call__(self) -> Callable[[int], None]:
+        renderer = self.make_renderer()
+
+        def write(index: int) -> None:
+            write_view(self.folder, index, *renderer(self.cameras, index))
+
+        return write
 
 
-def _start(make_renderer: Callable[[], Renderer], cameras: Cameras, folder: FilePath) -> None:
-    global _worker
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
-    torch.set_num_threads(1)
-    _worker = (make_renderer(), cameras, folder)
-
-
-def _work(index: int) -> None:
-    assert _worker is not None
-    _write(*_worker, index)
-
-
-def _write(renderer: Renderer, cameras: Cameras, folder: FilePath, index: int) -> None:
-    rgb, depth = renderer(cameras, index)
-    millimetres = np.rint(np.clip(depth, 0.0, FAR) * 1000).astype(np.uint16)
-    # the picture last: a view counts as there only with both
-    for kind, array in (("depth", millimetres), ("images", rgb)):
+def write_view(
+    folder: FilePath, index: int, rgb: UInt8[np.ndarray, "h w 3"], depth: Float[np.ndarray, "h w"] | None
+) -> None:
+    """Writes a picture and its depth (m along the axis, 0 where nothing is), if there is one."""
+    files: dict[str, np.ndarray] = {"images": rgb}
+    if depth is not None:
+        # the picture last: a view counts as there only with both
+        files = {"depth": np.rint(np.clip(depth, 0.0, FAR) * 1000).astype(np.uint16)} | files
+    for kind, array in files.items():
+        (folder / kind).mkdir(parents=True, exist_ok=True)
         write_png(folder / kind / view_name(index), array)
-
-
-def _written(
-    make_renderer: Callable[[], Renderer], cameras: Cameras, folder: FilePath, missing: list[int], workers: int
-) -> Iterator[None]:
-    if workers == 1 or len(missing) < 8:
-        renderer = make_renderer() if missing else None
-        for index in missing:
-            assert renderer is not None
-            _write(renderer, cameras, folder, index)
-            yield
-        return
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, context, _start, (make_renderer, cameras, folder))
-    try:
-        yield from pool.map(_work, missing, chunksize=8)
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)

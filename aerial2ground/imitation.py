@@ -6,15 +6,14 @@ ours      disturbed views of the radiance field made from drone pictures alone
 ours_gv   both
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from aerial2ground.car import CarState
 from aerial2ground.driving import Policy
 from aerial2ground.ground_poses import DisturbanceConfig, GroundPoses
 from aerial2ground.networks import PictureNetwork
@@ -48,25 +47,37 @@ def expert_steering(path: Path, car: GroundPoses, config: PurePursuitConfig) -> 
 
 
 def train_policy(
-    pictures: Sequence[UInt8[Tensor, "_ h w 3"]],
+    pictures: Sequence[UInt8[Tensor, "_ h w c"]],
     steerings: Sequence[Float[np.ndarray, " _"]],
     config: TaskConfig,
     limit: float,
     seed: int,
+    skies: Sequence[Bool[Tensor, "_ h w"]] | None = None,
 ) -> PictureNetwork:
-    """Trains the steering network on one or several sets of pictures; it learns steering over `limit` (L1)."""
+    """Trains the steering network on one or several sets of pictures; it learns steering over `limit` (L1).
+
+    `skies` say where nothing is in the pictures, as far as that is known.
+    """
     targets = torch.from_numpy(np.concatenate(list(steerings))).float()[:, None] / limit
-    return train_network(config, torch.cat(list(pictures)), targets, "l1", seed)
+    sky = None if skies is None else torch.cat(list(skies))
+    return train_network(config, torch.cat(list(pictures)), targets, "l1", seed, sky)
 
 
 def network_policy(network: PictureNetwork, limit: float) -> Policy:
     """Returns a policy that steers by what the network sees."""
+    answer = network_answer(network, limit)
+    return lambda picture, state: answer(picture)
+
+
+def network_answer(network: PictureNetwork, limit: float) -> Callable[[UInt8[np.ndarray, "h w c"]], float]:
+    """Returns a function from a picture to the network's steering, radians; depth that it does not read is left out."""
 
     @torch.no_grad()
-    def policy(picture: UInt8[np.ndarray, "h w c"], state: CarState) -> float:
-        return float(network(as_input(torch.from_numpy(picture)[None]))[0, 0]) * limit
+    def answer(picture: UInt8[np.ndarray, "h w c"]) -> float:
+        read = torch.from_numpy(picture[..., : network.channels])
+        return float(network(as_input(read[None]))[0, 0]) * limit
 
-    return policy
+    return answer
 
 
 def expert_policy(path: Path, config: PurePursuitConfig) -> Policy:

@@ -21,12 +21,17 @@ class NetworkConfig:
     hidden: int = 64
     """Units of both fully connected layers (paper: 64)."""
     depth: bool = False
-    """Read depth as a fourth channel."""
+    """Read depth as a fourth channel; views, training, the car's camera and exported policies follow."""
+    smooth: int = 1
+    """Width in pixels of the square over which pictures are averaged first, odd (paper: 1, none). Views of a field are
+    less sharp than a camera's: what only sharp pictures show cannot be learned from them."""
 
     def __post_init__(self):
         for key in ("filters", "layers", "hidden"):
             if getattr(self, key) < 1:
                 raise UserError(f"network.{key} is {getattr(self, key)}; give at least 1")
+        if self.smooth < 1 or self.smooth % 2 == 0:
+            raise UserError(f"network.smooth is {self.smooth}; give an odd number of pixels")
 
 
 class PictureNetwork(nn.Module):
@@ -35,7 +40,10 @@ class PictureNetwork(nn.Module):
     def __init__(self, config: NetworkConfig, height: int, width: int, outputs: int):
         super().__init__()
         self.config, self.height, self.width = config, height, width
-        channels, layers = 4 if config.depth else 3, []
+        self.channels = 4 if config.depth else 3
+        channels, layers = self.channels, []
+        if config.smooth > 1:
+            layers.append(nn.AvgPool2d(config.smooth, 1, config.smooth // 2, count_include_pad=False))
         for number in range(config.layers):
             stride = 1 if number == config.layers - 1 else 2
             layers += [nn.Conv2d(channels, config.filters, 3, stride, 1), nn.BatchNorm2d(config.filters), nn.ReLU()]

@@ -1,14 +1,14 @@
 """Training the two networks (Alg. 2): steering by L1, pose by L2; Adam 1e-2, 100 epochs.
 
-Pictures are augmented against what differs between the reconstruction and the world: exposure, white balance, noise,
-blur. Poses are standardised by the training set; yaw is told as sine and cosine.
+Pictures are augmented against what differs between the reconstruction and the world: exposure, white balance, shadows,
+noise, and the sky, which no drone sees. Poses are standardised by the training set; yaw is told as sine and cosine.
 """
 
 import math
 from dataclasses import dataclass, field
 
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from aerial2ground.networks import NetworkConfig, PictureNetwork
@@ -29,6 +29,8 @@ class AugmentationConfig:
     """Largest standard deviation of pixel noise."""
     shadow: float = 0.3
     """Largest darkening of a random half of the picture, as a share."""
+    sky: bool = True
+    """Give every picture another sky: a drone that looks down cannot know it."""
 
     def __post_init__(self):
         for key in ("exposure", "white_balance", "gamma", "noise", "shadow"):
@@ -60,10 +62,17 @@ class TaskConfig:
 
 
 def augmented(
-    pictures: Float[Tensor, "n c h w"], config: AugmentationConfig, generator: torch.Generator
+    pictures: Float[Tensor, "n c h w"],
+    config: AugmentationConfig,
+    generator: torch.Generator,
+    sky: Bool[Tensor, "n h w"] | None = None,
 ) -> Float[Tensor, "n c h w"]:
-    """Returns changed pictures in [0, 1]; a depth channel stays as it is."""
+    """Returns changed pictures in [0, 1]; a depth channel stays as it is. `sky` says where nothing is."""
     n, _, height, width = pictures.shape
+    if sky is not None and config.sky:
+        skies = random_skies(n, height, generator)
+        colour = torch.where(sky[:, None], skies[..., None], pictures[:, :3])
+        pictures = torch.cat([colour, pictures[:, 3:]], dim=1)
 
     def uniform(*shape: int) -> Tensor:
         return torch.rand(*shape, generator=generator) * 2 - 1
@@ -82,14 +91,30 @@ def augmented(
     return torch.cat([colour, pictures[:, 3:]], dim=1)
 
 
+def random_skies(count: int, height: int, generator: torch.Generator) -> Float[Tensor, "count 3 height"]:
+    """Returns colours of skies from the upper edge of a picture down: grey to blue, darker or paler upwards."""
+
+    def uniform(low: float, high: float) -> Tensor:
+        return low + (high - low) * torch.rand(count, 1, 1, generator=generator)
+
+    blue = uniform(0.0, 0.5) * torch.tensor([1.0, 0.5, 0.0])[None, :, None]
+    top, bottom = uniform(0.35, 1.0), uniform(0.5, 1.0)
+    share = torch.linspace(0, 1, height)[None, None]
+    return (top + (bottom - top) * share) * (1 - blue * (1 - 0.7 * share))
+
+
 def train_network(
     config: TaskConfig,
     pictures: UInt8[Tensor, "n h w c"],
     targets: Float[Tensor, "n outputs"],
     loss: str,
     seed: int,
+    sky: Bool[Tensor, "n h w"] | None = None,
 ) -> PictureNetwork:
-    """Trains a network on pictures (0..255, a fourth channel is depth) and targets; `loss` is `l1` or `l2`."""
+    """Trains a network on pictures (0..255, a fourth channel is depth) and targets; `loss` is `l1` or `l2`.
+
+    `sky` says where nothing is in the pictures, as far as that is known.
+    """
     if len(pictures) < 2:
         raise UserError(f"{len(pictures)} training pictures are too few: batch normalisation needs two or more")
     torch.manual_seed(seed)
@@ -105,7 +130,8 @@ def train_network(
         for number, rows in enumerate(order.tensor_split(batches)):
             share = (epoch * batches + number) / steps
             optimizer.param_groups[0]["lr"] = config.lr * 0.5 * (1 + math.cos(math.pi * share))
-            seen = augmented(as_input(pictures[rows]), config.augmentation, generator)
+            above = None if sky is None else sky[rows]
+            seen = augmented(as_input(pictures[rows]), config.augmentation, generator, above)
             optimizer.zero_grad(set_to_none=True)
             error(network(seen.contiguous(memory_format=torch.channels_last)), targets[rows]).backward()
             optimizer.step()

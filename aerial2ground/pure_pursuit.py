@@ -6,7 +6,6 @@ positive to the left.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,20 +69,17 @@ def steering(path: Path, pose: Float[np.ndarray, " 3"], config: PurePursuitConfi
     return float(np.clip(angle, -config.steering_limit, config.steering_limit))
 
 
-def speed(
-    path: Path,
-    pose: Float[np.ndarray, " 3"],
-    obstacles: Sequence[tuple[float, float]],
-    config: PurePursuitConfig,
-) -> float:
-    """Returns the speed: nominal, and less the closer the nearest obstacle ahead on the path is."""
-    here, _ = path.nearest(pose[:2])
-    gap = math.inf
-    for obstacle in obstacles:
-        place, aside = path.nearest(np.array(obstacle))
-        if abs(aside) <= config.corridor:
-            ahead = place - here
-            gap = min(gap, ahead % path.length if path.closed else ahead if ahead >= 0 else math.inf)
+def near_path(path: Path, obstacles: Float[np.ndarray, "n 2"], config: PurePursuitConfig) -> Float[np.ndarray, " near"]:
+    """Returns the arc lengths at which an obstacle stands closer to the path than the corridor."""
+    places = [path.nearest(obstacle) for obstacle in obstacles]
+    return np.array([place for place, aside in places if abs(aside) <= config.corridor])
+
+
+def speed(path: Path, pose: Float[np.ndarray, " 3"], near: Float[np.ndarray, " n"], config: PurePursuitConfig) -> float:
+    """Returns the speed: nominal, and less the closer ahead on the path the next of the arc lengths `near` is."""
+    ahead = near - path.nearest(pose[:2])[0]
+    ahead = np.mod(ahead, path.length) if path.closed else ahead[ahead >= 0]
+    gap = float(ahead.min()) if len(ahead) else math.inf
     share = (gap - config.slow_distance / 2) / (config.slow_distance / 2)
     return config.slow_speed + (config.speed - config.slow_speed) * min(max(share, 0.0), 1.0)
 

@@ -1,18 +1,19 @@
 """Stage 2 of aerial2ground: what a car would see along its paths and beside them, from the reconstruction.
 
 python scripts/make_ground_views.py --config configs/aerial2ground/fast.yaml
+python scripts/make_ground_views.py --config configs/aerial2ground/fast.yaml --pictures drives   # for the baselines
 """
 
 from rich.progress import Progress
 
-from aerial2ground.config import AerialConfig
+from aerial2ground.config import PicturesConfig
 from aerial2ground.stages import run_ground_views
 from hashnerf.command_line import parse_config, run_main
 
 
 def main() -> None:
     """Render what is missing."""
-    config = parse_config(AerialConfig, description="Render ground views of a reconstructed town.")
+    config = parse_config(PicturesConfig, description="Render ground views of a reconstructed town.").source
     with Progress(transient=True) as progress:
         task = progress.add_task("ground views")
         run_ground_views(config, lambda done, total: progress.update(task, completed=done, total=total))

@@ -10,9 +10,11 @@ from aerial2ground.car_camera import CarCameraConfig
 from aerial2ground.config import AerialConfig
 from aerial2ground.driving import DriveConfig
 from aerial2ground.imitation import ImitationConfig
+from aerial2ground.localisation import LocalisationConfig
 from aerial2ground.policy_training import TaskConfig
 from aerial2ground.reconstruction import ReconstructionConfig
 from aerial2ground.stages import run_reconstruction
+from aerial2ground.teleoperation import TeleoperationConfig
 from hashnerf.field import FieldConfig
 from hashnerf.fit import FitConfig
 from hashnerf.marching import MarchSettings
@@ -46,9 +48,12 @@ def _trained(tmp_path_factory, survey_folder) -> AerialConfig:
         dataset=str(survey_folder),
         runs=str(tmp_path_factory.mktemp("runs")),
         threads=1,
+        seeds=1,
         reconstruction=TINY,
         camera=CarCameraConfig(width=32, height=18),
         imitation=ImitationConfig(views=6, task=TaskConfig(epochs=1)),
+        localisation=LocalisationConfig(task=TaskConfig(epochs=1)),
+        teleoperation=TeleoperationConfig(laps=1, field_steps=20, views=4),
         drive=DriveConfig(laps=1),
         workers=1,
     )

@@ -35,7 +35,9 @@ def test_pitch_and_tilt_turn_the_camera_up():
     assert torch.linalg.det(rotation) == pytest.approx(torch.ones(2))
 
 
-@pytest.mark.parametrize("changes", [{"width": 4}, {"field_of_view": 180.0}, {"above_road": 0.0}, {"pitch": 90.0}])
+@pytest.mark.parametrize(
+    "changes", [{"width": 4}, {"field_of_view": 180.0}, {"above_road": 0.0}, {"pitch": 90.0}, {"depth_range": 0.0}]
+)
 def test_bad_settings_are_named(changes):
     with pytest.raises(UserError, match="camera"):
         CarCameraConfig(**changes)

@@ -3,11 +3,13 @@
 import math
 
 import numpy as np
+import torch
 
 from aerial2ground.car import CarConfig, CarState, footprint
-from aerial2ground.car_camera import CarCameraConfig
+from aerial2ground.car_camera import CarCameraConfig, car_cameras
 from aerial2ground.deployment import Deployment, DeploymentConfig, inside
-from worlds.camera_effects import CameraEffects
+from aerial2ground.depth_channel import depth_channel
+from worlds.camera_effects import CameraEffects, DepthEffects
 from worlds.mini_city import MiniCityConfig, build_mini_city
 from worlds.mini_city_roads import trajectories
 from worlds.polylines import resampled
@@ -29,6 +31,23 @@ def test_without_shifts_it_is_the_town_that_the_drone_saw():
 def test_noise_follows_the_seed():
     looks = [Deployment(TOWN, DeploymentConfig(), SMALL, CarConfig(), seed).look(ON_THE_ROAD) for seed in (1, 1, 2)]
     assert np.array_equal(looks[0], looks[1]) and not np.array_equal(looks[0], looks[2])
+
+
+def test_depth_is_a_fourth_channel_and_leaves_the_colours_alone():
+    plain = Deployment(TOWN, DeploymentConfig(), SMALL, CarConfig(), 0)
+    deep = Deployment(TOWN, DeploymentConfig(), SMALL, CarConfig(), 0, depth=True)
+    for _ in range(3):
+        colours, both = plain.look(ON_THE_ROAD), deep.look(ON_THE_ROAD)
+        assert both.shape == (18, 32, 4) and np.array_equal(both[..., :3], colours)
+    assert (both[..., 3] == 255).any() and (np.diff(both[-1, 8:24, 3].astype(int)) != 0).any()
+
+
+def test_without_effects_the_depth_is_the_towns_own():
+    changed = DeploymentConfig(depth=DepthEffects())
+    town = Deployment(TOWN, changed, SMALL, CarConfig(), 0, depth=True)
+    cameras = car_cameras(SMALL, torch.tensor([[1.9, 0.575, 0.0]]))
+    depth = town.scene.render(cameras).depth
+    assert np.array_equal(town.look(ON_THE_ROAD)[..., 3], depth_channel(depth, SMALL.depth_range))
 
 
 def test_the_lanes_are_free_and_houses_are_not():

@@ -25,9 +25,9 @@ def nothing(corners):
     return False
 
 
-def run(policy, path=CIRCLE, touches=nothing, seed=0, **changes):
-    rng = np.random.default_rng(seed)
-    return drive(policy, blind, touches, path, DriveConfig(**changes), CAR, PURSUIT, rng)
+def run(policy, path=CIRCLE, touches=nothing, seed=0, obstacles=(), **changes):
+    rng, standing = np.random.default_rng(seed), np.array(obstacles, float).reshape(-1, 2)
+    return drive(policy, blind, touches, standing, path, DriveConfig(**changes), CAR, PURSUIT, rng)
 
 
 def test_the_expert_drives_two_laps_from_a_disturbed_start():
@@ -40,6 +40,7 @@ def test_the_expert_drives_two_laps_from_a_disturbed_start():
 def test_a_policy_that_never_steers_is_put_back_again_and_again():
     result = run(lambda picture, state: 0.0)
     assert result.interventions > 5 and result.position_rmse > 0.05
+    assert np.abs(np.linalg.norm(result.put_back, axis=1) - 1.5).min() > 0.175
     assert result.lateral.max() < 0.175 + 0.8 * 0.1
 
 
@@ -52,6 +53,21 @@ def test_an_open_path_is_driven_to_its_end():
     line = Path(np.array([(0.0, 0.0), (6.0, 0.0)]))
     result = run(expert_policy(line, PURSUIT), path=line)
     assert result.track[-1, 0] == pytest.approx(6.0, abs=0.12) and result.interventions == 0
+
+
+def test_the_car_slows_down_beside_an_obstacle():
+    line = Path(np.array([(0.0, 0.0), (6.0, 0.0)]))
+    result = run(expert_policy(line, PURSUIT), path=line, obstacles=[(3.0, 0.25)])
+    pace = np.linalg.norm(np.diff(result.motion[:, 1:3], axis=0), axis=1) / np.diff(result.motion[:, 0])
+    close = np.abs(result.motion[1:, 1] - 2.8) < 0.1
+    assert pace[close].max() < 0.35 and pace[result.motion[1:, 1] < 2.0].min() > 0.75 and pace[-1] > 0.75
+
+
+def test_the_motion_is_finer_than_the_pictures_and_ends_with_them():
+    result = run(expert_policy(CIRCLE, PURSUIT), laps=1)
+    assert len(result.motion) == 4 * len(result.track) + 1
+    assert result.motion[4::4, 1:3] == pytest.approx(result.track)
+    assert np.diff(result.motion[:, 0]) == pytest.approx(0.025)
 
 
 def test_starts_differ_with_the_seed():

@@ -11,7 +11,8 @@ from aerial2ground.stages import load_survey
 
 
 def driven(lateral: float, degrees: float, interventions: int) -> Drive:
-    return Drive(np.full(5, lateral), np.radians(np.full(5, degrees)), np.zeros((5, 2)), interventions)
+    places = np.zeros((interventions, 2))
+    return Drive(np.full(5, lateral), np.radians(np.full(5, degrees)), np.zeros((5, 2)), np.zeros((21, 4)), places)
 
 
 def trial(method: str, seed: int, path=None) -> Trial:

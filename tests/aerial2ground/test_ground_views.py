@@ -43,6 +43,15 @@ def test_what_was_rendered_is_read(tmp_path, workers):
     assert views.steering == pytest.approx(np.linspace(-0.4, 0.4, 9))
 
 
+def test_depth_becomes_a_fourth_channel(tmp_path):
+    write(tmp_path)
+    views = load_views(tmp_path)
+    both = views.rgbd(4.0)
+    assert both.dtype == torch.uint8 and torch.equal(both[..., :3], views.pictures)
+    # 255 * (1 + i / 8) / 4
+    assert both[:, 0, 0, 3].tolist() == [64, 72, 80, 88, 96, 104, 112, 120, 128]
+
+
 def test_other_tools_can_read_it(tmp_path):
     write(tmp_path)
     posed = load_posed_images(tmp_path)

@@ -8,7 +8,14 @@ import torch
 
 from aerial2ground.car import CarState
 from aerial2ground.ground_poses import DisturbanceConfig, disturbed_poses
-from aerial2ground.imitation import ImitationConfig, expert_policy, expert_steering, network_policy, train_policy
+from aerial2ground.imitation import (
+    ImitationConfig,
+    expert_policy,
+    expert_steering,
+    network_answer,
+    network_policy,
+    train_policy,
+)
 from aerial2ground.networks import NetworkConfig, PictureNetwork
 from aerial2ground.paths import Path
 from aerial2ground.policy_training import TaskConfig
@@ -32,6 +39,13 @@ def test_a_network_is_asked_for_the_share_of_the_limit():
         network.head[-1].weight.zero_()
         network.head[-1].bias.fill_(0.5)
     assert network_policy(network, 0.4)(np.zeros((36, 64, 3), np.uint8), CarState(0.0, 0.0, 0.0)) == pytest.approx(0.2)
+
+
+def test_the_answer_needs_no_state():
+    network = PictureNetwork(NetworkConfig(depth=True), 36, 64, 1).eval()
+    picture = np.random.default_rng(0).integers(0, 256, (36, 64, 4), dtype=np.uint8)
+    wanted = network_policy(network, 0.4)(picture, CarState(0.0, 0.0, 0.0))
+    assert network_answer(network, 0.4)(picture) == wanted != 0
 
 
 def test_a_policy_learns_the_experts_steering_over_the_limit():

@@ -59,3 +59,18 @@ def test_one_picture_is_too_few():
 def test_bad_settings_are_named(build, key):
     with pytest.raises(UserError, match=key):
         build()
+
+
+def test_a_sky_changes_where_nothing_is_and_nowhere_else():
+    plain = AugmentationConfig(0.0, 0.0, 0.0, 0.0, 0.0)
+    pictures = torch.full((50, 4, 6, 8), 0.25)
+    sky = torch.zeros(50, 6, 8, dtype=torch.bool)
+    sky[:, :3] = True
+    changed = augmented(pictures, plain, torch.Generator().manual_seed(0), sky)
+    assert (changed[:, :, 3:] == 0.25).all() and (changed[:, 3] == 0.25).all(), "the ground, and depth"
+    skies = changed[:, :3, :3]
+    assert (skies >= 0).all() and (skies <= 1).all()
+    assert (skies[:, 2] >= skies[:, 0] - 1e-6).all(), "grey to blue"
+    assert float(skies[:, 0].std()) > 0.1 and (skies[..., 0] == skies[..., 7]).all(), "one colour a row"
+    without = augmented(pictures, AugmentationConfig(0.0, 0.0, 0.0, 0.0, 0.0, sky=False), torch.Generator(), sky)
+    assert (without == 0.25).all()

@@ -7,7 +7,7 @@ import pytest
 
 from aerial2ground.car import CarConfig, CarState, advance
 from aerial2ground.paths import Path
-from aerial2ground.pure_pursuit import LowPass, PurePursuitConfig, require_followable, speed, steering
+from aerial2ground.pure_pursuit import LowPass, PurePursuitConfig, near_path, require_followable, speed, steering
 from hashnerf.errors import UserError
 
 CONFIG = PurePursuitConfig()
@@ -47,14 +47,17 @@ def test_a_disturbed_car_comes_back_to_the_path():
     assert max(errors) < 0.2 and max(errors[100:]) < 0.02
 
 
+def paced(path: Path, pose: tuple[float, float, float], *obstacles: tuple[float, float]) -> float:
+    near = near_path(path, np.array(obstacles).reshape(-1, 2), CONFIG)
+    return speed(path, np.array(pose), near, CONFIG)
+
+
 def test_speed_falls_towards_an_obstacle_ahead_and_ignores_others():
-    pose = np.array([5.0, 0.0, 0.0])
-    speeds = [speed(LINE, pose, [(5.0 + gap, 0.1)], CONFIG) for gap in (2.0, 0.8, 0.6, 0.4, 0.1)]
+    speeds = [paced(LINE, (5.0, 0.0, 0.0), (5.0 + gap, 0.1)) for gap in (2.0, 0.8, 0.6, 0.4, 0.1)]
     assert speeds == pytest.approx([0.8, 0.8, 0.55, 0.3, 0.3])
-    assert speed(LINE, pose, [(4.0, 0.0), (5.5, 1.0)], CONFIG) == 0.8, "behind, and beside the road"
-    assert speed(LINE, pose, [], CONFIG) == 0.8
-    start = circle(2.0)
-    assert speed(start, np.array([2.0, -0.1, math.pi / 2]), [(2.0, 0.3)], CONFIG) < 0.5, "beyond the seam"
+    assert paced(LINE, (5.0, 0.0, 0.0), (4.0, 0.0), (5.5, 1.0)) == 0.8, "behind, and beside the road"
+    assert paced(LINE, (5.0, 0.0, 0.0)) == 0.8
+    assert paced(circle(2.0), (2.0, -0.1, math.pi / 2), (2.0, 0.3)) < 0.5, "beyond the seam"
 
 
 def test_the_low_pass_by_hand():

@@ -1,0 +1,237 @@
+"""From ground views to networks: collected drives, steering networks and localisers.
+
+runs/<name>/{drives/<trajectory>/, from_drives/, policies/<trajectory>/<method>/<seed>/, localisers/<method>/<seed>/}.
+A network that is there is not trained again; where the data set has no embedded world, nobody can collect pictures and
+only `ours` is trained.
+"""
+
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path as FilePath
+
+import numpy as np
+from jaxtyping import UInt8
+from torch import Tensor
+
+from aerial2ground.config import AerialConfig, from_drives
+from aerial2ground.depth_channel import depth_of
+from aerial2ground.evaluate_driving import drive_in
+from aerial2ground.ground_poses import GroundPoses
+from aerial2ground.ground_views import (
+    GroundViews,
+    cameras_of,
+    describe_views,
+    join_views,
+    load_views,
+    write_view,
+)
+from aerial2ground.imitation import METHODS, train_policy
+from aerial2ground.localisation import save_localiser, train_localiser
+from aerial2ground.networks import NetworkConfig, PictureNetwork
+from aerial2ground.paths import Path
+from aerial2ground.stages import Survey, load_driven_survey
+from aerial2ground.teleoperation import Teleoperator
+from hashnerf.checkpoints import load_checkpoint, load_module_state, module_tensors, save_checkpoint
+from hashnerf.command_line import usable_cores
+from hashnerf.errors import UserError
+from hashnerf.worker_processes import map_in_processes
+from worlds.scenarios import world_from_description
+from worlds.scene import World
+
+LOCALISERS = ("baseline", "ours")
+COLLECTING, TESTING = 1_000, 2_000
+"""Added to a seed where a person drives to collect pictures, and to test a localiser."""
+
+
+def town_of(config: AerialConfig, survey: Survey) -> World:
+    """Returns the embedded world behind a data set; raises UserError where there is none."""
+    description = survey.data.extras.get("world")
+    if description is None:
+        raise UserError(f"{config.dataset}: was not rendered from an embedded world, so nobody can drive in it")
+    return world_from_description(description)
+
+
+def origin_of(survey: Survey) -> tuple[float, float]:
+    """Returns what loading subtracted from positions on the ground, metres."""
+    return float(survey.data.origin[0]), float(survey.data.origin[1])
+
+
+def run_drives(config: AerialConfig) -> None:
+    """A person drives every trajectory in the town as it is now and collects pictures."""
+    survey = load_driven_survey(config)
+    town_of(config, survey)
+    if (config.drives / "transforms.json").is_file() and not config.overwrite:
+        return
+    shutil.rmtree(config.drives, ignore_errors=True)
+    names = list(survey.trajectories)
+    workers = config.workers or usable_cores()
+    for _ in map_in_processes(_Collector(config), names, workers):
+        pass
+    extras = {key: survey.data.extras[key] for key in ("road_network", "trajectories")}
+    join_views(config.drives, names, extras)
+
+
+@dataclass(frozen=True)
+class _Collector:
+    """Collects the pictures of one trajectory."""
+
+    config: AerialConfig
+
+    def __call__(self) -> Callable[[str], None]:
+        survey = load_driven_survey(replace(self.config, threads=1))
+        town, origin = town_of(self.config, survey), np.array([*origin_of(survey), 0.0])
+
+        def collect(name: str) -> None:
+            path = survey.trajectories[name]
+            person = teleoperate(self.config, town, survey, path, self.config.seed + COLLECTING)
+            car = GroundPoses(
+                np.stack(person.poses) + origin,
+                np.zeros((len(person.poses), 2)),
+                np.array([path.nearest(pose[:2])[0] for pose in person.poses]),
+            )
+            folder = self.config.drives / name
+            for index, picture in enumerate(person.pictures):
+                write_view(folder, index, picture[..., :3], depth_of(picture, self.config.camera.depth_range))
+            height = survey.network.height + float(survey.data.origin[2])
+            box = survey.data.scene_box + survey.data.origin.float()
+            cameras = cameras_of(self.config.camera, car, height)
+            describe_views(cameras, car, np.array(person.wanted), folder, box, {})
+
+        return collect
+
+
+def teleoperate(config: AerialConfig, town: World, survey: Survey, path: Path, seed: int) -> Teleoperator:
+    """A person drives `teleoperation.laps` laps; returns what was seen."""
+    person = Teleoperator(
+        path, config.pure_pursuit, config.teleoperation, config.drive.tick, np.random.default_rng([seed, 3])
+    )
+    drive_in(config, town, origin_of(survey), person, path, seed, config.teleoperation.laps)
+    return person
+
+
+def pictures_of(config: AerialConfig, method: str, trajectory: str) -> list[GroundViews]:
+    """Returns what a method learns from along one trajectory."""
+    drives, drone, augmented = config.drives, config.folder / "ground", from_drives(config).folder / "ground"
+    sources = {
+        "baseline": (drives,),
+        "imit": (drives,),
+        "imit_gv": (drives, augmented),
+        "ours": (drone,),
+        "ours_gv": (drone, drives, augmented),
+    }
+    return [load_views(source / trajectory) for source in sources[method]]
+
+
+def seen(config: AerialConfig, views: GroundViews, network: NetworkConfig) -> UInt8[Tensor, "n h w c"]:
+    """Returns pictures as a network reads them: with depth where it asks for it."""
+    return views.rgbd(config.camera.depth_range) if network.depth else views.pictures
+
+
+def methods_of(config: AerialConfig, wanted: Sequence[str]) -> list[str]:
+    """Returns the methods for which there are pictures: without collected drives, `ours` alone."""
+    return [method for method in wanted if method == "ours" or config.drives.is_dir()]
+
+
+def policy_folder(config: AerialConfig, trajectory: str, method: str, seed: int) -> FilePath:
+    """Where a steering network is kept."""
+    return config.folder / "policies" / trajectory / method / str(seed)
+
+
+def localiser_folder(config: AerialConfig, method: str, seed: int) -> FilePath:
+    """Where a localiser is kept."""
+    return config.folder / "localisers" / method / str(seed)
+
+
+def run_policies(config: AerialConfig, on_network: Callable[[int, int], None] = lambda done, total: None) -> None:
+    """A steering network for every trajectory, method and seed."""
+    survey = load_driven_survey(config)
+    jobs = [
+        (policy_folder(config, trajectory, method, seed), trajectory, method, seed)
+        for trajectory in survey.trajectories
+        for method in methods_of(config, METHODS)
+        for seed in range(config.seeds)
+    ]
+    _train_missing(config, _PolicyTrainer(config), jobs, on_network)
+
+
+@dataclass(frozen=True)
+class _PolicyTrainer:
+    config: AerialConfig
+
+    def __call__(self) -> Callable[[tuple[FilePath, str, str, int]], None]:
+        imitation, limit = self.config.imitation, self.config.car.steering_limit
+
+        def train(job: tuple[FilePath, str, str, int]) -> None:
+            folder, trajectory, method, seed = job
+            views = pictures_of(self.config, method, trajectory)
+            number = self.config.seed * 101 + seed
+            pictures = [seen(self.config, part, imitation.task.network) for part in views]
+            wanted = [part.steering for part in views]
+            skies = [part.sky for part in views]
+            save_network(folder, train_policy(pictures, wanted, imitation.task, limit, number, skies))
+
+        return train
+
+
+def run_localisers(config: AerialConfig, on_network: Callable[[int, int], None] = lambda done, total: None) -> None:
+    """A localiser for every method and seed, from the pictures of all trajectories."""
+    load_driven_survey(config)
+    jobs = [
+        (localiser_folder(config, method, seed), method, seed)
+        for method in methods_of(config, LOCALISERS)
+        for seed in range(config.seeds)
+    ]
+    _train_missing(config, _LocaliserTrainer(config), jobs, on_network)
+
+
+@dataclass(frozen=True)
+class _LocaliserTrainer:
+    config: AerialConfig
+
+    def __call__(self) -> Callable[[tuple[FilePath, str, int]], None]:
+        survey, task = load_driven_survey(replace(self.config, threads=1)), self.config.localisation.task
+
+        def train(job: tuple[FilePath, str, int]) -> None:
+            folder, method, seed = job
+            views = [part for name in survey.trajectories for part in pictures_of(self.config, method, name)]
+            number = self.config.seed * 101 + seed
+            pictures, poses = [seen(self.config, part, task.network) for part in views], [part.poses for part in views]
+            save_localiser(folder, train_localiser(pictures, poses, task, number, [part.sky for part in views]))
+
+        return train
+
+
+def _train_missing(
+    config: AerialConfig, make: Callable, jobs: list[tuple], on_network: Callable[[int, int], None]
+) -> None:
+    if config.overwrite:
+        for folder, *_ in jobs:
+            shutil.rmtree(folder, ignore_errors=True)
+    missing = [job for job in jobs if not is_trained(job[0])]
+    done = len(jobs) - len(missing)
+    on_network(done, len(jobs))
+    for _ in map_in_processes(make, missing, config.workers or usable_cores()):
+        done += 1
+        on_network(done, len(jobs))
+
+
+def is_trained(folder: FilePath) -> bool:
+    """Whether a network was saved here."""
+    return (folder / f"{0:07d}").is_dir()
+
+
+def save_network(folder: FilePath, network: PictureNetwork) -> None:
+    """Saves a network with the size of its pictures."""
+    about = {"height": network.height, "width": network.width, "outputs": network.head[-1].out_features}
+    save_checkpoint(folder, 0, module_tensors(network, "network"), about, keep=1)
+
+
+def load_network(folder: FilePath, config: NetworkConfig) -> PictureNetwork:
+    """Loads a network; raises UserError where there is none."""
+    if not is_trained(folder):
+        raise UserError(f"{folder}: no trained network here; run scripts/train_policy.py first")
+    _, tensors, about = load_checkpoint(folder)
+    network = PictureNetwork(config, about["height"], about["width"], about["outputs"])
+    load_module_state(network, tensors, "network")
+    return network.eval()

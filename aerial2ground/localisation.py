@@ -1,0 +1,93 @@
+"""Where is the car? The paper's network tells position and yaw from one picture (III-D; L2, yaw as sine and cosine)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from aerial2ground.networks import NetworkConfig, PictureNetwork
+from aerial2ground.policy_training import TaskConfig, as_input, train_network
+from hashnerf.checkpoints import load_checkpoint, load_module_state, module_tensors, save_checkpoint
+from hashnerf.errors import UserError
+
+AT_ONCE = 512
+
+
+@dataclass(frozen=True)
+class LocalisationConfig:
+    """Training of the network that tells poses."""
+
+    task: TaskConfig = field(default_factory=TaskConfig)
+    """Network and training."""
+
+
+@dataclass(frozen=True)
+class Localiser:
+    """A network whose first two outputs are positions in units of `scale` metres from `centre`."""
+
+    network: PictureNetwork
+    centre: Float[np.ndarray, " 2"]
+    scale: float
+
+    @torch.no_grad()
+    def __call__(self, pictures: UInt8[Tensor, "n h w c"]) -> Float[np.ndarray, "n 3"]:
+        """Returns (x, y, yaw) of each picture, metres and radians; depth that the network does not read is left out."""
+        parts = [self.network(as_input(part)) for part in pictures[..., : self.network.channels].split(AT_ONCE)]
+        out = torch.cat(parts).double().numpy()
+        return np.column_stack([out[:, :2] * self.scale + self.centre, np.arctan2(out[:, 2], out[:, 3])])
+
+
+def train_localiser(
+    pictures: Sequence[UInt8[Tensor, "_ h w c"]],
+    poses: Sequence[Float[np.ndarray, "_ 3"]],
+    config: TaskConfig,
+    seed: int,
+    skies: Sequence[Bool[Tensor, "_ h w"]] | None = None,
+) -> Localiser:
+    """Trains on one or several sets of pictures and the poses (x, y, yaw) of the car that took them.
+
+    `skies` say where nothing is in the pictures, as far as that is known.
+    """
+    place = np.concatenate(list(poses))
+    centre = place[:, :2].mean(axis=0)
+    scale = max(float(place[:, :2].std()), 1e-3)
+    columns = [(place[:, :2] - centre) / scale, np.sin(place[:, 2:]), np.cos(place[:, 2:])]
+    targets = torch.from_numpy(np.concatenate(columns, axis=1)).float()
+    sky = None if skies is None else torch.cat(list(skies))
+    return Localiser(train_network(config, torch.cat(list(pictures)), targets, "l2", seed, sky), centre, scale)
+
+
+def save_localiser(folder: Path, localiser: Localiser) -> None:
+    """Saves the network with the units of its outputs."""
+    network = localiser.network
+    about = {"height": network.height, "width": network.width}
+    about |= {"centre": localiser.centre.tolist(), "scale": localiser.scale}
+    save_checkpoint(folder, 0, module_tensors(network, "network"), about, keep=1)
+
+
+def load_localiser(folder: Path, config: NetworkConfig) -> Localiser:
+    """Loads a localiser; raises UserError where there is none."""
+    if not folder.is_dir():
+        raise UserError(f"{folder}: no trained network here; run scripts/train_localizer.py first")
+    _, tensors, about = load_checkpoint(folder)
+    network = PictureNetwork(config, about["height"], about["width"], 4)
+    load_module_state(network, tensors, "network")
+    return Localiser(network.eval(), np.array(about["centre"]), about["scale"])
+
+
+def pose_rmse(found: Float[np.ndarray, "n 3"], truth: Float[np.ndarray, "n 3"]) -> tuple[float, float]:
+    """Returns root mean square errors: metres between positions, degrees between yaws."""
+    metres, degrees = pose_distances(found, truth)
+    return float(np.sqrt(np.mean(metres**2))), float(np.sqrt(np.mean(degrees**2)))
+
+
+def pose_distances(
+    found: Float[np.ndarray, "n 3"], truth: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Returns metres between positions and degrees, 0 to 180, between yaws."""
+    turn = np.remainder(found[:, 2] - truth[:, 2] + np.pi, 2 * np.pi) - np.pi
+    return np.linalg.norm(found[:, :2] - truth[:, :2], axis=1), np.degrees(np.abs(turn))
