@@ -1,4 +1,5 @@
 # `make demo` and `make test` set everything up by themselves: Python 3.11 or newer is all they need.
+#   make demo-aerial                     the second system: from a drone's pictures to policies that drive
 #   make demo PYTHON=python3.12          choose the interpreter
 #   make demo TORCH_INDEX=URL            take torch from another package index (a CPU-only or a CUDA build)
 PYTHON ?= python3
@@ -6,11 +7,14 @@ TORCH_INDEX ?=
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: demo test lint format setup clean
+.PHONY: demo demo-aerial test lint format setup clean
 .DEFAULT_GOAL := test
 
 demo: $(READY)
 	$(BIN)/python scripts/demo.py --config configs/carff/fast.yaml
+
+demo-aerial: $(READY)
+	$(BIN)/python scripts/demo_aerial.py --config configs/aerial2ground/fast.yaml
 
 # One thread a worker: tests that share the cores are slower, not faster, when each takes all of them.
 test: export OMP_NUM_THREADS = 1
@@ -35,7 +39,7 @@ $(READY): pyproject.toml constraints.txt
 	@echo "Setting up .venv (once; a few minutes)."
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) $$(grep '^torch==' constraints.txt)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,vit]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,vit,export]'
 	@touch $(READY)
 
 clean:

@@ -10,6 +10,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 TINY = """
 name: tiny
+seeds: 1
 threads: 1
 workers: 1
 reconstruction:
@@ -21,6 +22,7 @@ reconstruction:
   march: {candidates: 32}
 camera: {width: 32, height: 18}
 imitation: {views: 4, task: {epochs: 1}}
+localisation: {task: {epochs: 1}}
 drive: {laps: 1}
 """
 
@@ -60,15 +62,23 @@ def test_from_survey_to_drives(place):
     assert "already finished" in run("train_road_nerf", *config)
     run("make_ground_views", *config)
     run("train_policy", *config)
-    said = run("evaluate_driving", *config, "--trials", "1")
+    run("train_localizer", *config)
+    said = run("export_policy", *config, "--frames", "2").splitlines()
+    assert [line.split(":")[0].split("/")[-4:] for line in said] == [
+        [name, "ours", "0", "policy.onnx"] for name in ("left_turns", "outer_loop", "right_turns")
+    ]
+    assert all("differs from torch by at most" in line and "ms a picture" in line for line in said)
+    said = run("evaluate_driving", *config)
     rows = [line.split() for line in said.splitlines() if line.startswith(("outer_loop", "left_turns", "right_turns"))]
     assert len(rows) == 6 and all(row[1] in ("expert", "ours") for row in rows)
-    assert (place / "runs" / "tiny" / "driving.json").is_file()
+    assert "ours_imu" in said and (place / "runs" / "tiny" / "driving.json").is_file()
 
 
 def test_wrong_settings_get_one_sentence(place):
     config = ("--config", str(place / "tiny.yaml"))
     said = run("train_road_nerf", *config, "--name", "new", "--dataset", str(place / "nowhere"), expect=2)
     assert "nowhere" in said
-    assert "trials" in run("evaluate_driving", *config, "--trials", "0", expect=2)
+    assert "seeds" in run("evaluate_driving", *config, "--seeds", "0", expect=2)
+    assert "frames" in run("export_policy", *config, "--frames", "-1", expect=2)
+    assert "run scripts/train_policy" in run("export_policy", *config, "--name", "new", expect=2)
     assert "road_prior" in run("train_road_nerf", *config, "--reconstruction.road_prior.share", "-1", expect=2)
