@@ -154,6 +154,10 @@ class PicturesConfig(AerialConfig):
 
     @property
     def source(self) -> AerialConfig:
-        """The config of the run on those pictures."""
+        """The config of the run on those pictures; raises UserError where nobody has collected any."""
         config = AerialConfig(**{item.name: getattr(self, item.name) for item in fields(AerialConfig)})
-        return config if self.pictures == "drone" else from_drives(config)
+        if self.pictures == "drone":
+            return config
+        if not (config.drives / "transforms.json").is_file():
+            raise UserError(f"{config.drives}: no collected pictures here; run scripts/collect_drives.py first")
+        return from_drives(config)

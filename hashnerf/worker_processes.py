@@ -31,16 +31,21 @@ def map_in_processes(
         pool.shutdown(wait=True, cancel_futures=True)
 
 
+_make: Callable[[], Callable[[Any], Any]] | None = None
 _function: Callable[[Any], Any] | None = None
 
 
 def _start(make: Callable[[], Callable[[Any], Any]]) -> None:
-    global _function
+    global _make
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
-    _function = make()
-    torch.set_num_threads(1)  # last: loading a config may have asked for more
+    _make = make
 
 
 def _work(item: Any) -> Any:
-    assert _function is not None
+    # made with the first item, not in the initializer: an error there would break the pool without a word
+    global _function
+    if _function is None:
+        assert _make is not None
+        _function = _make()
+        torch.set_num_threads(1)  # last: loading a config may have asked for more
     return _function(item)

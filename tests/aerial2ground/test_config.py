@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from aerial2ground.config import AerialConfig
+from aerial2ground.config import AerialConfig, PicturesConfig
 from hashnerf.command_line import load_config
 from hashnerf.errors import UserError
 
@@ -31,3 +31,16 @@ def test_presets_load(preset):
 def test_bad_settings_are_named(changes, sentence):
     with pytest.raises(UserError, match=sentence):
         AerialConfig(**changes)
+
+
+def test_the_run_on_collected_pictures_is_one_without_road_prior(tmp_path):
+    told = PicturesConfig(runs=str(tmp_path), name="town", pictures="drives", road_network="roads.json")
+    with pytest.raises(UserError, match=r"town/drives: no collected pictures here; run scripts/collect_drives"):
+        _ = told.source
+    told.drives.mkdir(parents=True)
+    (told.drives / "transforms.json").write_text("{}")
+    source = told.source
+    assert type(source) is AerialConfig and source.folder == told.folder / "from_drives"
+    assert source.dataset == str(told.drives) and source.road_network == ""
+    assert source.reconstruction.road_prior.share == 0 and not source.reconstruction.refine_poses
+    assert PicturesConfig(runs=str(tmp_path), name="town").source.folder == told.folder

@@ -5,6 +5,7 @@ import os
 import pytest
 import torch
 
+from hashnerf.errors import UserError
 from hashnerf.worker_processes import map_in_processes
 
 
@@ -48,3 +49,13 @@ def test_no_items_need_nothing():
 def test_an_error_comes_through(workers):
     with pytest.raises(ValueError, match="number 3"):
         list(map_in_processes(failing, range(8), workers))
+
+
+def unprepared():
+    raise UserError("runs/x: no field here; run scripts/train_road_nerf.py first")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_what_is_missing_is_said_in_its_own_words(workers):
+    with pytest.raises(UserError, match="no field here"):
+        list(map_in_processes(unprepared, range(4), workers))
