@@ -144,8 +144,11 @@ def test_a_stage_that_does_not_stop_is_killed(tmp_path, monkeypatch):
 def test_a_signal_stops_every_stage_and_leaves_none_behind(tmp_path, number, status):
     saved = [tmp_path / "a", tmp_path / "b"]
     stages = [(path.name, ["-c", PATIENT, str(path)]) for path in saved]
+    # in the background Ctrl-C is ignored: it must still reach a run that is in the foreground, and all of its stages
+    handler = "SIG_IGN" if number != signal.SIGINT else "default_int_handler"
     code = textwrap.dedent(f"""
-        import pathlib
+        import pathlib, signal
+        signal.signal(signal.SIGINT, signal.{handler})
         from hashnerf.command_line import run_main
         from hashnerf.pipeline import run_stages_together
         run_main(lambda: run_stages_together({stages!r}, pathlib.Path({str(tmp_path / "run")!r}), 2, "both"))
