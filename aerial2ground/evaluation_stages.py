@@ -23,7 +23,7 @@ from aerial2ground.learning_stages import (
     policy_folder,
     town_of,
 )
-from aerial2ground.localisation import load_localiser, pose_distances
+from aerial2ground.localisation import load_localiser, pose_distances, pose_rmse
 from aerial2ground.networks import PictureNetwork
 from aerial2ground.pose_tracker import filtered_poses
 from aerial2ground.stages import load_driven_survey
@@ -138,8 +138,7 @@ def table_row(
 ) -> dict[str, float | int]:
     """Returns errors over all pictures, mean and spread over seeds; `found` holds a list of drives per seed."""
     errors = [pose_distances(np.concatenate(drives), np.concatenate(truth)) for drives in found]
-    metres = np.array([np.sqrt(np.mean(distance**2)) for distance, _ in errors])
-    degrees = np.array([np.sqrt(np.mean(angle**2)) for _, angle in errors])
+    metres, degrees = np.array([pose_rmse(np.concatenate(drives), np.concatenate(truth)) for drives in found]).T
     return {
         "pos_m": float(metres.mean()),
         "pos_m_spread": float(metres.std()),

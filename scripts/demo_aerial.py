@@ -11,6 +11,7 @@ from pathlib import Path
 
 from aerial2ground.config import AerialConfig, layout_config
 from aerial2ground.report import write_run_report
+from aerial2ground.report_results import ablation_folder
 from aerial2ground.road_prior import VARIANTS
 from hashnerf.command_line import parse_config, run_main, usable_cores
 from hashnerf.pipeline import check_script_folder, run_stage, run_stages_together
@@ -49,7 +50,8 @@ def main() -> None:
     fields += [(f"field of {town.name}", command("train_road_nerf", *short, town=town)) for town in towns[1:]]
     tries = ("--reconstruction.steps", str(config.evaluation.ablation_steps))
     ablation = {
-        name: ("--name", f"{config.name}/ablation/{name}", *tries, *options) for name, options in VARIANTS.items()
+        name: ("--name", str(ablation_folder(Path(config.name), name)), *tries, *options)
+        for name, options in VARIANTS.items()
     }
     fields += [(f"field with prior {name}", command("train_road_nerf", *o)) for name, o in ablation.items()]
     fields += [("field of collected pictures", command("train_road_nerf", "--pictures", "drives"))]
