@@ -4,12 +4,9 @@ All episodes of a policy advance together, so that pictures are encoded and futu
 drives and their numbers to one command each: True for go. Policies that do not look are functions of the drive alone.
 """
 
-import signal
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, replace
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +32,7 @@ from carff.planning_metrics import ALWAYS_GO, ALWAYS_STOP, ApproachPoint, Episod
 from carff.state_memory import StateMemory, state_transitions
 from hashnerf.command_line import usable_cores
 from hashnerf.errors import UserError
+from hashnerf.worker_processes import worker_processes
 from worlds.scenarios import world_from_description
 from worlds.scene import World
 
@@ -100,9 +98,8 @@ def closed_loop(
         "oracle": lambda drives, _: [going_is_safe(world, drive, config) for drive in drives],
     }
     runs = {name: drive_episodes(world, policy, setups, config) for name, policy in blind.items()}
-    # A fresh interpreter per worker: forking a process whose tensor threads are running can hang.
-    with ProcessPoolExecutor(workers, get_context("spawn"), _start_worker) as pool:
-        look = remembering(world, lambda drives: list(pool.map(camera.picture, drives)))
+    with worker_processes(camera.renderer, workers) as pictures:
+        look = remembering(world, lambda drives: list(pictures(drives)))
         for rule in ("risk", "paper"):
             planner = replace(model.config.planner, rule=rule)
             policy = SeeingPolicy(model, look, planner, n, seed, world.traffic.step_seconds)
@@ -159,8 +156,3 @@ def undrivable(world: World) -> str:
     if min(speed for (_, name), speed in world.traffic.speeds.items() if name == "ego") <= 0:
         return f"the ego stands still in {world.scenario}: it has no crossing to decide about"
     return ""
-
-
-def _start_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
-    torch.set_num_threads(1)

@@ -24,6 +24,10 @@ class Camera:
     width: int
     height: int
 
+    def renderer(self) -> Callable[[Drive], np.ndarray]:
+        """Returns what renders, as worker processes ask for it."""
+        return self.picture
+
     def picture(self, drive: Drive) -> np.ndarray:
         """Returns the uint8 picture [h, w, 3] from the ego's camera at a moment."""
         world = world_from_description(self.description)

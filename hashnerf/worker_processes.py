@@ -1,34 +1,65 @@
 """The same work on many items in several processes, each with one thread and what it needs made once."""
 
+import functools
 import multiprocessing
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from typing import Any, TypeVar
 
 import torch
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Mapped = Callable[[Sequence[Item]], Iterator[Result]]
+
+
+@contextmanager
+def worker_processes(
+    make: Callable[[], Callable[[Item], Result]], workers: int, chunk: int = 1
+) -> Iterator[Mapped[Item, Result]]:
+    """Gives a map over sequences that may be used again and again; its results come in order.
+
+    `make` gives each process its function, and must be picklable. With one worker everything runs here, with the
+    threads that this process has. Processes start with the first items, and end with the block.
+    """
+    if workers <= 1:
+        made = functools.cache(make)
+        yield lambda items: map(made(), items) if items else iter(())
+        return
+    # spawned, not forked: a fork while OpenMP threads run can hang
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _start, (make,))
+
+    def there(items: Sequence[Item]) -> Iterator[Result]:
+        with _interrupts_held():
+            return pool.map(_work, items, chunksize=chunk)
+
+    try:
+        yield there
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def map_in_processes(
     make: Callable[[], Callable[[Item], Result]], items: Sequence[Item], workers: int, chunk: int = 1
 ) -> Iterator[Result]:
-    """Yields the results of all items in order; `make` gives each process its function, and must be picklable.
+    """Yields the results of all items in order, as `worker_processes` gives them; few items are worked on here."""
+    workers = 1 if len(items) <= chunk else min(workers, len(items))
+    with worker_processes(make, workers, chunk) as mapped:
+        yield from mapped(items)
 
-    With one worker everything runs here, with the threads that this process has.
-    """
-    if workers <= 1 or len(items) <= chunk:
-        yield from map(make(), items) if items else ()
-        return
-    # spawned, not forked: a fork while OpenMP threads run can hang
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(workers, len(items)), context, _start, (make,))
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Processes started in the block are deaf to Ctrl-C from their first instruction; ours comes after the block."""
+    resource_tracker.ensure_running()  # its own start would end the hold
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        yield from pool.map(_work, items, chunksize=chunk)
+        yield
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 _make: Callable[[], Callable[[Any], Any]] | None = None
@@ -37,7 +68,9 @@ _function: Callable[[Any], Any] | None = None
 
 def _start(make: Callable[[], Callable[[Any], Any]]) -> None:
     global _make
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    # Ctrl-C is the parent's to handle; held until here, then let go for what this process may start itself
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     _make = make
 
 

@@ -29,7 +29,7 @@ ARROWS = {
 WORLDS_MAY_USE = {
     f"hashnerf.{name}"
     for name in ("cameras", "rays", "posed_images", "transforms_json", "errors", "image_files", "lens", "poses")
-} | {"hashnerf.command_line"}
+} | {"hashnerf.command_line", "hashnerf.worker_processes"}
 IGNORED_FOLDERS = {"__pycache__", "runs", "build", ".git", ".venv", ".pytest_cache", ".ruff_cache", ".hypothesis"}
 
 

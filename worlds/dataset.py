@@ -4,20 +4,18 @@ Each view follows from (config, seed) alone, so the files do not depend on the n
 """
 
 import json
-import multiprocessing
-import signal
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from PIL import Image
 
 from hashnerf.cameras import Cameras
 from hashnerf.transforms_json import write_transforms
+from hashnerf.worker_processes import map_in_processes
 from worlds.raycast import Caster
 from worlds.scenarios import ScenarioConfig, build_world
 from worlds.scene import Scene, World
@@ -52,7 +50,8 @@ def write_dataset(
     (folder / "depth").mkdir()
     visibility: Visibility = {name: [] for name in world.actors}
     total = len(world.rig.kinds)
-    for done, part in enumerate(_render_all(config, seed, folder, image_size, workers, total), 1):
+    make = partial(_Renderer, config, seed, folder, image_size)
+    for done, part in enumerate(map_in_processes(make, range(total), workers, chunk=4), 1):
         for name, rows in part.items():
             visibility[name] += rows
         on_camera(done, total)
@@ -100,37 +99,6 @@ class _Renderer:
                 visible = int((view.object_id == self.world.object_id(actor)).sum())
                 visibility[actor].append([state.branch, state.step, index, visible, static.pixels_of(body)])
         return visibility
-
-
-_renderer: _Renderer | None = None
-"""The renderer of this worker process."""
-
-
-def _start_worker(config: ScenarioConfig, seed: int, folder: Path, image_size: int) -> None:
-    global _renderer
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
-    torch.set_num_threads(1)
-    _renderer = _Renderer(config, seed, folder, image_size)
-
-
-def _work(index: int) -> Visibility:
-    assert _renderer is not None
-    return _renderer(index)
-
-
-def _render_all(
-    config: ScenarioConfig, seed: int, folder: Path, image_size: int, workers: int, count: int
-) -> Iterator[Visibility]:
-    """One camera after another in order, computed here or by spawned processes."""
-    if workers == 1:
-        yield from map(_Renderer(config, seed, folder, image_size), range(count))
-        return
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, context, _start_worker, (config, seed, folder, image_size))
-    try:
-        yield from pool.map(_work, range(count), chunksize=4)
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def describe(world: World, image_size: int, visibility: Visibility) -> dict[str, Any]:

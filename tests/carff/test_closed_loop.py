@@ -31,22 +31,6 @@ DESCRIPTION = world_description(WORLD)
 CONFIG = DrivingConfig()
 
 
-class InProcess:
-    """Stands in for a pool of processes."""
-
-    def __init__(self, *arguments):
-        pass
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *exception):
-        pass
-
-    def map(self, function, items):
-        return map(function, items)
-
-
 def setups(count: int) -> list[Setup]:
     rng = np.random.default_rng(1)
     return [draw_setup(WORLD, CONFIG, rng) for _ in range(count)]
@@ -129,7 +113,6 @@ def in_a_world(evaluation, description: dict | None):
 def test_a_run_is_driven_with_every_policy_over_the_same_episodes(tiny_evaluation, monkeypatch):
     model = in_a_world(tiny_evaluation, DESCRIPTION)
     monkeypatch.setattr(module, "load_carff", lambda folder: model)
-    monkeypatch.setattr(module, "ProcessPoolExecutor", InProcess)
 
     def by_rule(model, pictures, planner, n, generator, rule_out):  # risk never waits here, paper always
         hazard = torch.tensor([planner.rule == "paper"])

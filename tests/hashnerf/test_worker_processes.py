@@ -1,6 +1,10 @@
 """Work in several processes gives what one gives, in order, with one thread each."""
 
 import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 import torch
@@ -59,3 +63,40 @@ def unprepared():
 def test_what_is_missing_is_said_in_its_own_words(workers):
     with pytest.raises(UserError, match="no field here"):
         list(map_in_processes(unprepared, range(4), workers))
+
+
+INTERRUPTED_AT_THE_START = """
+import multiprocessing, os, signal, sys, threading, time
+from tests.hashnerf.test_worker_processes import squares
+from hashnerf.worker_processes import map_in_processes
+
+def interrupt():
+    while len(multiprocessing.active_children()) < 2:
+        time.sleep(0.001)
+    time.sleep(0.3)  # the children are importing now
+    os.killpg(0, signal.SIGINT)  # as a terminal does: to every process of the group
+
+if __name__ == "__main__":
+    threading.Thread(target=interrupt, daemon=True).start()
+    try:
+        list(map_in_processes(squares, range(8), 2))
+    except KeyboardInterrupt:
+        sys.exit(130)
+"""
+
+
+def test_ctrl_c_while_the_processes_start_is_heard_here_alone(tmp_path):
+    script = tmp_path / "interrupted.py"
+    script.write_text(INTERRUPTED_AT_THE_START)
+    ended = subprocess.run(
+        [sys.executable, str(script)],
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+        capture_output=True,
+        text=True,
+        start_new_session=True,
+        timeout=90,
+        # A test run started in the background ignores Ctrl-C and hands that down; a terminal does not.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    assert ended.stderr == ""
+    assert ended.returncode == 130
