@@ -76,7 +76,15 @@ class RoadNerf(nn.Module):
     def view(self, cameras: Cameras, index: int) -> Rendering:
         """Returns what a camera sees, rows h*w in row-major order; its matrix and lens are honoured."""
         march = replace(self.config.march, samples_per_opacity=self.config.view_samples_per_opacity)
-        return render_image(cameras, index, self.colour_and_density, self.occupancy, march, self.field.background)
+        return render_image(
+            cameras,
+            index,
+            self.colour_and_density,
+            self.occupancy,
+            march,
+            self.field.background,
+            density_fn=lambda positions, ray_index: self.field.density(positions)[0],
+        )
 
     def colour_and_density(self, positions: Tensor, directions: Tensor, ray_index: Tensor) -> tuple[Tensor, Tensor]:
         """The field as rendering wants it."""

@@ -1,19 +1,26 @@
 """What is known of a road before any picture: its colour, its distance, and that a car fits above it (III-B, Alg. 1).
 
 Rays go straight down on the road: from the flying height, as in the paper, or from lower where crowns hang over roads.
-What hides the road from the air would be carved away by a ray that starts above it.
+What hides the road from the air would be carved away by a ray that starts above it. Where the space above roads is
+free, their distance is known from every place in it: further rays look along the road as a car does, to which a fog of
+a few millimetres, which no ray from above minds, is a wall.
 """
 
 import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from aerial2ground.road_network import RoadNetwork
 from hashnerf.errors import UserError
 from hashnerf.rays import Rays
+
+LOWEST = 0.2
+"""Height of the lowest place from which rays look along the road, as a share of a car's height."""
+FLATTEST = 10.0
+"""How many times its height such a ray may travel over the road."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +41,16 @@ class RoadPriorConfig:
     """Metres above the road at which the rays start; 0: at the flying height."""
     car_height: float = 0.25
     """Metres above the road that are free."""
+    grazing: float = 0.5
+    """Share of the rays that look along the road from within the free space; no effect without depth and free space."""
     margin: float = 0.02
     """Metres above the road from which it must be free: the road itself is a layer of fog at first."""
 
     def __post_init__(self):
         if not 0 <= self.share <= 10:
             raise UserError(f"road_prior.share is {self.share}; give a number from 0 to 10")
+        if not 0 <= self.grazing <= 1:
+            raise UserError(f"road_prior.grazing is {self.grazing}; give a number from 0 to 1")
         for name in ("colour_weight", "start"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise UserError(f"road_prior.{name} is {getattr(self, name)}; give 0 or a positive number")
@@ -66,7 +77,7 @@ VARIANTS = {
 
 @dataclass(frozen=True)
 class PriorBatch:
-    """Rays down on roads and points above them."""
+    """Rays that end on roads and points above them."""
 
     rays: Rays
     rgb: Float[Tensor, "rays 3"]
@@ -78,13 +89,35 @@ class PriorBatch:
 def draw_prior(
     network: RoadNetwork, config: RoadPriorConfig, flying_height: float, count: int, generator: torch.Generator
 ) -> PriorBatch:
-    """Draws `count` rays normal to the road and as many points in the free space above it."""
+    """Draws `count` rays normal to the road or along it, and as many points in the free space above it."""
     ground, colour = network.sample(count, generator)
-    height = config.start or flying_height
     up = torch.tensor([0.0, 0.0, 1.0])
-    rays = Rays(ground + height * up, (-up).expand(count, 3).contiguous())
+    way = (config.start or flying_height) * up.expand(count, 3)
+    if config.depth and config.free_space and config.grazing:
+        along, usable = _ways_along(network, config.car_height, ground, generator)
+        usable &= torch.arange(count) < config.grazing * count
+        way = torch.where(usable[:, None], along, way)
+    length = way.norm(dim=1)
+    rays = Rays(ground + way, -way / length[:, None])
     level = config.margin + (config.car_height - config.margin) * torch.rand(count, 1, generator=generator)
     above, _ = network.sample(count, generator)
     weight = torch.full((count,), config.colour_weight if config.colour else 0.0)
-    distance = torch.full((count,), height if config.depth else math.nan)
+    distance = length if config.depth else torch.full((count,), math.nan)
     return PriorBatch(rays, colour, weight, distance, above + level * up)
+
+
+def _ways_along(
+    network: RoadNetwork, car_height: float, ground: Float[Tensor, "rays 3"], generator: torch.Generator
+) -> tuple[Float[Tensor, "rays 3"], Bool[Tensor, " rays"]]:
+    """Returns ways (m) from points of the road to low places in any direction, and which stay above free road."""
+    height, slope, turn = torch.rand(3, len(ground), generator=generator)
+    height = car_height * (LOWEST + (1 - LOWEST) * height)
+    away = height * FLATTEST**slope
+    turn = 2 * math.pi * turn
+    way = torch.stack([away * turn.cos(), away * turn.sin(), height], dim=1)
+    usable = torch.ones(len(ground), dtype=torch.bool)
+    for share in (0.25, 0.5, 0.75, 1.0):
+        place = ground + share * way
+        above = place[:, 2] - network.heights_at(place[:, :2])
+        usable &= (network.distance(place[:, :2]) <= network.width / 2) & (above > 0) & (above <= car_height)
+    return way, usable

@@ -148,10 +148,13 @@ def render_batch(
         of_sample = None if of_ray is None else of_ray.index_select(0, ray_index)
         return field.sample(positions, harmonics.index_select(0, ray_index), rows, of_sample)
 
+    def density_fn(positions: Tensor, ray_index: Tensor) -> Tensor:
+        return field.density(positions, rows, None if of_ray is None else of_ray.index_select(0, ray_index))[0]
+
     def background_fn(directions: Tensor) -> Tensor:
         return field.background(directions, rows, of_ray)
 
-    return render(batch.rays, field_fn, occupancy, settings, background_fn, generator)
+    return render(batch.rays, field_fn, occupancy, settings, background_fn, generator, density_fn)
 
 
 class FieldFit:

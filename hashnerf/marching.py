@@ -3,24 +3,29 @@
 Candidates are stratified: interval edges are evenly spaced in log(t + c), so they grow in proportion to the distance t
 from the camera beyond about c metres. One candidate lies in each interval, at its middle or at random. With
 `samples: 0` every candidate in an occupied cell is kept; otherwise at most `samples` are drawn from the occupied ones,
-in proportion to the opacity that the occupancy grid leads to expect there.
+in proportion to the opacity that the occupancy grid leads to expect there. With `guided_per_opacity` the field's own
+density decides in a second round, at a fraction of the cost of a sample with colour and gradient.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float
-from torch import Tensor
+from jaxtyping import Float
+from torch import Tensor, nn
 
 from hashnerf.errors import UserError
 from hashnerf.occupancy import OccupancyGrid
 from hashnerf.ray_box import intersect_box
 from hashnerf.rays import Rays
+from hashnerf.resampling import Samples, Strata, cut_pieces, draw_samples, uniform
 
 MOST_SAMPLES_PER_OPACITY = 1e6
 MOST_HIDDEN = 1.0  # optical thickness an interval is trusted to have: a ray may pass beside what fills half a cell
-FLOOR = 0.5  # opacity added to all occupied intervals of a ray together, so that none is ever left out
+
+DensityFn = Callable[[Tensor, Tensor], Tensor]
+"""Density (1/m, [s]) of positions ([s, 3], m) on rays of some numbers ([s])."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,9 @@ class MarchSettings:
     """Most samples of a ray, drawn where opacity is expected; 0 takes every occupied candidate instead."""
     samples_per_opacity: float = 8.0
     """Samples for each interval expected to be opaque."""
+    guided_per_opacity: float = 0.0
+    """With a positive number rays are sampled twice: the samples above say where the field's density alone is asked
+    for, without gradients, and this many are then drawn for each opaque stretch that it shows; 0 samples once."""
     stop_transmittance: float = 1e-3
     """A ray ends where cells known opaque in every condition leave less light than this; 0 never ends it."""
 
@@ -47,21 +55,16 @@ class MarchSettings:
             raise UserError(f"march.samples is {self.samples}: use 0 or more")
         if not 0 < self.samples_per_opacity <= MOST_SAMPLES_PER_OPACITY:
             raise UserError(f"march.samples_per_opacity is {self.samples_per_opacity}: use a positive number up to 1e6")
+        if not 0 <= self.guided_per_opacity <= MOST_SAMPLES_PER_OPACITY:
+            raise UserError(f"march.guided_per_opacity is {self.guided_per_opacity}: use 0 or a number up to 1e6")
+        if self.guided_per_opacity and not self.samples:
+            raise UserError("march.guided_per_opacity needs samples to look at first: use march.samples of 1 or more")
         if not 0 < self.even_distance < math.inf:
             raise UserError(f"march.even_distance is {self.even_distance}: use a positive number of metres")
         if not 0 <= self.near < math.inf:
             raise UserError(f"march.near is {self.near}: use 0 or a positive number of metres")
         if not 0 <= self.stop_transmittance < 1:
             raise UserError(f"march.stop_transmittance is {self.stop_transmittance}: use 0 or more and less than 1")
-
-
-@dataclass(frozen=True)
-class Samples:
-    """Samples of rays, front to back, padded to the longest ray; a padded place has t = dt = 0 and mask False."""
-
-    t: Float[Tensor, "rays samples"]
-    dt: Float[Tensor, "rays samples"]
-    mask: Bool[Tensor, "rays samples"]
 
 
 def intervals(
@@ -76,22 +79,22 @@ def intervals(
     return torch.addcmul(near, scale, grown), (grown + 1).mul_(scale * torch.expm1(growth))
 
 
-def _uniform(like: Tensor, generator: torch.Generator | None) -> Tensor:
-    """Random numbers in [0, 1), or the middle without a generator."""
-    if generator is None:
-        return torch.full_like(like, 0.5)
-    return torch.rand(like.shape, generator=generator, device=like.device, dtype=like.dtype)
-
-
 @torch.no_grad()
 def march(
-    rays: Rays, occupancy: OccupancyGrid, settings: MarchSettings, generator: torch.Generator | None = None
+    rays: Rays,
+    occupancy: OccupancyGrid,
+    settings: MarchSettings,
+    generator: torch.Generator | None = None,
+    density_fn: DensityFn | None = None,
 ) -> Samples:
-    """Sample rays where the grid is occupied and not hidden behind what is always opaque; jittered with a generator."""
+    """Sample rays where the grid is occupied and not hidden behind what is always opaque; jittered with a generator.
+
+    `density_fn` is asked where `settings.guided_per_opacity` wants it; without one rays are sampled once.
+    """
     near, far, hit = intersect_box(rays.origins, rays.directions, occupancy.box, settings.near)
     start, dt = intervals(near, far, settings)
     # resampling draws again within each interval, so there the look-up needs no more than one number a ray
-    shift = _uniform(dt if not settings.samples else dt[:, :1], generator)
+    shift = uniform(dt if not settings.samples else dt[:, :1], generator)
     t = torch.addcmul(start, dt, shift)
     highest, lowest, usual = occupancy.densities_along(rays, t)
     mask = (highest > 0) & (hit & (far > near))[:, None]
@@ -108,7 +111,37 @@ def march(
     hidden = usual.mul_(dt).clamp_(max=MOST_HIDDEN)
     hidden = torch.cumsum(hidden, dim=1).sub_(hidden)
     expected = torch.expm1(highest.mul_(dt).neg_()).neg_().mul_(torch.exp(hidden.neg_()))
-    return _resample(start, dt, expected, mask, settings, generator)
+    strata = Strata.of(start, dt, expected, mask, settings.samples_per_opacity, settings.samples)
+    if density_fn is None or not settings.guided_per_opacity:
+        return draw_samples(strata, generator)
+    return _guided(rays, Samples(*cut_pieces(strata)), settings, generator, density_fn)
+
+
+def _guided(
+    rays: Rays,
+    pieces: Samples,
+    settings: MarchSettings,
+    generator: torch.Generator | None,
+    density_fn: DensityFn,
+) -> Samples:
+    """Sample pieces of rays in proportion to the light that the field's own density stops there or beside it."""
+    start, dt, mask = pieces.t, pieces.dt, pieces.mask
+    place, ray = pieces.places()
+    if not len(place):
+        return pieces
+    t = torch.addcmul(start, dt, uniform(dt, generator)).view(-1)[place]
+    density = density_fn(rays.origins[ray] + rays.directions[ray] * t[:, None], ray).to(dt.dtype)
+    # a broken density is the loss's to report: here it only must not spoil the places
+    density = torch.where(density.isfinite(), density, 0.0)
+    thickness = torch.zeros_like(dt).view(-1).index_copy_(0, place, density).view(dt.shape).mul_(dt)
+    before = torch.cumsum(thickness, dim=1).sub_(thickness)
+    stopped = torch.exp(-before).mul_(torch.expm1(-thickness).neg_())
+    # one look into a piece may miss a surface at its border, so what is found counts for both neighbours, too
+    beside = nn.functional.max_pool1d(nn.functional.pad(stopped[:, None], (1, 1)), 3, 1)[:, 0]
+    share = stopped.sum(dim=1, keepdim=True) / beside.sum(dim=1, keepdim=True).clamp(min=1e-6)
+    return draw_samples(
+        Strata.of(start, dt, beside.mul(share), mask, settings.guided_per_opacity, settings.samples), generator
+    )
 
 
 def _compact(t: Tensor, dt: Tensor, mask: Tensor) -> Samples:
@@ -120,35 +153,3 @@ def _compact(t: Tensor, dt: Tensor, mask: Tensor) -> Samples:
     front_t, front_dt = t.new_zeros(kept.shape), t.new_zeros(kept.shape)
     front_t[kept], front_dt[kept] = t[mask], dt[mask]
     return Samples(front_t, front_dt, kept)
-
-
-def _resample(
-    start: Tensor,
-    dt: Tensor,
-    expected: Tensor,
-    mask: Tensor,
-    settings: MarchSettings,
-    generator: torch.Generator | None,
-) -> Samples:
-    """Draw samples in proportion to the visible opacity expected of each interval, more of them the more there is.
-
-    A sample drawn with density p (1/m) among n stands for a length 1/(n p), so every sample has about the same optical
-    thickness and the integral along the ray stays right whatever the expectation was.
-    """
-    evenly = FLOOR / dt.sum(dim=1, keepdim=True).clamp(min=1e-12)
-    importance = torch.addcmul(expected, dt, evenly).mul_(mask)
-    cumulative = torch.cumsum(importance, dim=1)
-    total = cumulative[:, -1:]
-    count = (total * settings.samples_per_opacity + 1).ceil().clamp(max=settings.samples) * (total > 0)
-    width = int(count.max()) if len(dt) else 0
-    place = torch.arange(width, device=dt.device, dtype=dt.dtype).expand(len(dt), width)
-    kept = place < count
-    wanted = (place + _uniform(place, generator)) / count.clamp(min=1) * total
-    interval = torch.searchsorted(cumulative, wanted, right=True).clamp(max=dt.shape[1] - 1)
-    mass, length = importance.gather(1, interval), dt.gather(1, interval)
-    kept &= mass > 0
-    mass = torch.where(kept, mass, 1.0)
-    inside = ((wanted - cumulative.gather(1, interval)) / mass + 1).clamp(0, 1)
-    t = start.gather(1, interval) + inside * length
-    new_dt = length * total / (count.clamp(min=1) * mass)
-    return Samples(torch.where(kept, t, 0.0), torch.where(kept, new_dt, 0.0), kept)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from hashnerf.cameras import Cameras, image_rays
 from hashnerf.compositing import composite_colour, expected_depth, median_depth, sample_weights
-from hashnerf.marching import MarchSettings, march
+from hashnerf.marching import DensityFn, MarchSettings, march
 from hashnerf.occupancy import OccupancyGrid
 from hashnerf.rays import Rays
 
@@ -48,12 +48,15 @@ def render(
     settings: MarchSettings,
     background_fn: BackgroundFn | None = None,
     generator: torch.Generator | None = None,
+    density_fn: DensityFn | None = None,
 ) -> Rendering:
-    """Render rays; sample positions are jittered with a generator, interval middles without."""
-    samples = march(rays, occupancy, settings, generator)
+    """Render rays; sample positions are jittered with a generator, interval middles without.
+
+    `density_fn` is the field's density alone, for marching that is guided by it.
+    """
+    samples = march(rays, occupancy, settings, generator, density_fn)
     shape = samples.mask.shape
-    place = samples.mask.view(-1).nonzero()[:, 0]
-    ray_index = place // max(shape[1], 1)
+    place, ray_index = samples.places()
     directions = rays.directions[ray_index]
     positions = rays.origins[ray_index] + directions * samples.t.view(-1)[place, None]
     density, rgb = _evaluate(field_fn, positions, directions, ray_index)
@@ -84,11 +87,20 @@ def render_image(
     settings: MarchSettings,
     background_fn: BackgroundFn | None = None,
     rays_at_once: int = 8192,
+    density_fn: DensityFn | None = None,
 ) -> Rendering:
     """Render every pixel of one camera (rows h*w, row-major) without gradients, a chunk of rays at a time."""
     rays = image_rays(cameras, index)
     chunks = [
-        render(rays.select(slice(start, start + rays_at_once)), field_fn, occupancy, settings, background_fn)
+        render(
+            rays.select(slice(start, start + rays_at_once)),
+            field_fn,
+            occupancy,
+            settings,
+            background_fn,
+            None,
+            density_fn,
+        )
         for start in range(0, len(rays), rays_at_once)
     ]
     joined = {f.name: torch.cat([getattr(c, f.name) for c in chunks]) for f in fields(Rendering)[:-1]}

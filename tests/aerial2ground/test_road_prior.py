@@ -16,7 +16,7 @@ def draw(**changes):
 
 
 def test_rays_fall_on_the_road_from_a_known_height():
-    batch = draw(start=0.35)
+    batch = draw(start=0.35, grazing=0.0)
     assert (batch.rays.directions == torch.tensor([0.0, 0.0, -1.0])).all()
     assert batch.rays.origins[:, 2] == pytest.approx(0.85) and (batch.distance == 0.35).all()
     hit = batch.rays.origins + batch.distance[:, None] * batch.rays.directions
@@ -25,8 +25,46 @@ def test_rays_fall_on_the_road_from_a_known_height():
 
 
 def test_the_papers_rays_start_at_the_flying_height():
-    batch = draw(start=0.0)
+    batch = draw(start=0.0, grazing=0.0)
     assert batch.rays.origins[:, 2] == pytest.approx(3.0) and (batch.distance == 2.5).all()
+
+
+def looking_along(batch):
+    return batch.rays.directions[:, 2] > -0.99
+
+
+def test_other_rays_look_along_the_road_from_within_the_free_space():
+    batch = draw(grazing=0.5, car_height=0.25)
+    along = looking_along(batch)
+    assert 0.2 < along.float().mean() < 0.5, "half are tried, some leave the road"
+    rays, distance = batch.rays.select(along), batch.distance[along]
+    hit = rays.origins + distance[:, None] * rays.directions
+    assert hit[:, 2] == pytest.approx(0.5, abs=1e-5)
+    for share in torch.linspace(0, 0.99, 12):
+        place = rays.origins + share * distance[:, None] * rays.directions
+        assert (ROADS.distance(place[:, :2]) <= 0.5001).all(), "what stands beside the road could be in the way"
+        assert (place[:, 2] > 0.5).all() and (place[:, 2] <= 0.75 + 1e-5).all()
+    sideways = rays.directions[:, :2].norm(dim=1) / -rays.directions[:, 2]
+    assert sideways.max() > 7 and sideways.max() <= 10.001
+    assert (batch.distance[~along] == 0.35).all(), "the rest look down"
+
+
+def test_nothing_looks_along_a_road_that_is_not_known_to_be_free():
+    for changes in ({"free_space": False}, {"depth": False}, {"grazing": 0.0}):
+        assert not looking_along(draw(**changes)).any()
+
+
+def test_no_ray_looks_through_a_hill():
+    hill = {"lines": [[[0, 0, 0], [2, 0, 0.3], [4, 0, 0]]], "width": 1.0, "colour": [0, 0, 0]}
+    roads = read_road_network(hill, torch.zeros(3, dtype=torch.float64), "x")
+    config = RoadPriorConfig(grazing=1.0)
+    batch = draw_prior(roads, config, 2.5, 2000, torch.Generator().manual_seed(0))
+    ends = batch.rays.origins + batch.distance[:, None] * batch.rays.directions
+    along = looking_along(batch)
+    assert along.any()
+    for share in (0.3, 0.6, 0.9):
+        place = ends[along] + share * (batch.rays.origins - ends)[along]
+        assert (place[:, 2] - roads.heights_at(place[:, :2]) > -0.01).all()
 
 
 def test_parts_can_be_switched_off():
@@ -43,7 +81,14 @@ def test_points_of_free_space_lie_between_road_and_car_height():
 
 
 @pytest.mark.parametrize(
-    "changes", [{"share": -1.0}, {"colour_weight": -0.1}, {"start": float("nan")}, {"margin": 0.3, "car_height": 0.2}]
+    "changes",
+    [
+        {"share": -1.0},
+        {"colour_weight": -0.1},
+        {"start": float("nan")},
+        {"grazing": 1.1},
+        {"margin": 0.3, "car_height": 0.2},
+    ],
 )
 def test_bad_settings_are_named(changes):
     with pytest.raises(UserError, match="road_prior"):

@@ -266,3 +266,23 @@ def test_two_processes_equal_one_on_the_joined_batch(tmp_path):
 def test_impossible_configs_name_the_key(key, value):
     with pytest.raises(UserError, match=f"fit.{key} is"):
         FitConfig(**{key: value})
+
+
+def test_guided_rays_ask_for_the_density_under_their_own_condition(pictures):
+    fit = build()
+    with torch.no_grad():
+        fit.field.density_network.weights[0][:, -1] += 1.0  # the condition counts from the start
+    guided = dataclasses.replace(MARCH, guided_per_opacity=4.0)
+    batch = pictures.batch(torch.arange(40))
+    with torch.no_grad():
+        together = render_batch(fit.field, batch, fit.occupancy, guided)
+        for row in range(len(batch.conditions)):
+            own = (batch.condition_index == row).nonzero()[:, 0]
+            alone = render_batch(
+                fit.field,
+                RayBatch(batch.rays.select(own), batch.rgb[own], batch.conditions[row][None], torch.zeros_like(own)),
+                fit.occupancy,
+                guided,
+            )
+            assert torch.allclose(together.rgb[own], alone.rgb, atol=1e-5)
+            assert torch.allclose(together.opacity[own], alone.opacity, atol=1e-5)

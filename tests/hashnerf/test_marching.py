@@ -1,6 +1,7 @@
 """Sample positions: lengths that add up, nothing where it is empty, nothing lost where it is not."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -193,6 +194,69 @@ def test_far_origins_are_finite():
         assert samples.mask[0].any()
 
 
+GUIDED = MarchSettings(candidates=64, samples=48, samples_per_opacity=8.0, guided_per_opacity=6.0)
+
+
+def on_rays(density):
+    """A density of positions as marching asks for it."""
+    return lambda positions, ray: density(positions)
+
+
+def test_guided_samples_place_a_surface_better_than_as_many_others():
+    # opaque within a centimetre, in an occupied stretch of a quarter of a metre
+    board = wall(2.1, density=300.0, thick=0.1)
+    grid = grid_of(wall(2.0, density=20.0, thick=0.25))
+    rays = along_x(2000)
+
+    def found(settings, density_fn):
+        samples = march(rays, grid, settings, torch.Generator().manual_seed(0), density_fn)
+        positions = rays.origins[:, None] + rays.directions[:, None] * samples.t[:, :, None]
+        density = board(positions.view(-1, 3)).view(samples.t.shape) * samples.mask
+        weights, _ = sample_weights(density, samples.dt)
+        hit = (weights * samples.t).sum(dim=1) / weights.sum(dim=1).clamp(min=1e-9) - 7
+        return (hit - 2.1).abs().median(), weights.sum(dim=1).mean(), samples.mask.sum(dim=1).float().mean()
+
+    off_once, seen_once, count_once = found(replace(GUIDED, samples_per_opacity=8.0), None)
+    off_twice, seen_twice, count_twice = found(GUIDED, on_rays(board))
+    assert count_twice <= count_once
+    assert off_twice < 0.6 * off_once
+    assert min(seen_once, seen_twice) > 0.98
+
+
+def test_guided_samples_follow_the_density_and_leave_nothing_out():
+    front, back = wall(-2.0, density=30.0), wall(3.0, density=30.0)
+    grid = grid_of(lambda p: front(p) + back(p), lambda p: torch.zeros(len(p)))
+    everything = march(
+        along_x(500), grid, GUIDED, torch.Generator().manual_seed(0), on_rays(lambda p: front(p) + back(p))
+    )
+    x = -7 + everything.t[everything.mask]
+    assert ((x > -2.3) & (x < -1.2)).float().mean() > 0.6, "what stops the light"
+    assert (x > 2.7).float().mean() > 0.02, "what is hidden keeps a few"
+    assert (everything.t.diff(dim=1)[everything.mask[:, 1:]] >= 0).all()
+
+
+def test_where_the_guide_finds_nothing_samples_are_spread_evenly():
+    empty = march(along_x(), everywhere(), GUIDED, None, on_rays(lambda p: torch.zeros(len(p))))
+    assert empty.mask.sum() == 4  # a floor of half an opaque interval: 0.5 * 6 + 1
+    assert torch.allclose(empty.dt[empty.mask], torch.full((4,), 2.5), atol=1e-4)
+    assert torch.allclose(empty.t[0], torch.tensor([3.25, 5.75, 8.25, 10.75]), atol=1e-3)
+
+
+@pytest.mark.parametrize("broken", [math.nan, math.inf])
+def test_a_broken_guide_spoils_no_place(broken):
+    def density(positions):
+        return torch.where(positions[:, 0] > 0, broken, wall(-2.0)(positions))
+
+    samples = march(along_x(50), everywhere(), GUIDED, torch.Generator().manual_seed(0), on_rays(density))
+    assert samples.t.isfinite().all() and samples.dt.isfinite().all()
+    assert samples.mask.any(dim=1).all()
+
+
+def test_no_guide_can_be_asked_where_every_interval_is_taken():
+    with pytest.raises(UserError, match="guided_per_opacity needs"):
+        MarchSettings(samples=0, guided_per_opacity=4.0)
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [
@@ -200,6 +264,8 @@ def test_far_origins_are_finite():
         ("samples", -1),
         ("samples_per_opacity", 0.0),
         ("samples_per_opacity", 1e300),
+        ("guided_per_opacity", -1.0),
+        ("guided_per_opacity", math.inf),
         ("even_distance", 0.0),
         ("near", -1.0),
         ("stop_transmittance", 1.0),
