@@ -69,26 +69,25 @@ def augmented(
 ) -> Float[Tensor, "n c h w"]:
     """Returns changed pictures in [0, 1]; a depth channel stays as it is. `sky` says where nothing is."""
     n, _, height, width = pictures.shape
+    colour, rest = pictures[:, :3], pictures[:, 3:]
     if sky is not None and config.sky:
-        skies = random_skies(n, height, generator)
-        colour = torch.where(sky[:, None], skies[..., None], pictures[:, :3])
-        pictures = torch.cat([colour, pictures[:, 3:]], dim=1)
+        colour = torch.where(sky[:, None], random_skies(n, height, generator)[..., None], colour)
 
     def uniform(*shape: int) -> Tensor:
         return torch.rand(*shape, generator=generator) * 2 - 1
 
-    colour = pictures[:, :3].clamp(min=1e-4) ** (1 + config.gamma * uniform(n, 1, 1, 1))
-    colour = colour * (1 + config.exposure * uniform(n, 1, 1, 1)) * (1 + config.white_balance * uniform(n, 3, 1, 1))
+    # in place, and a power as the exponential of a logarithm: this is a third of the time of a training step
+    colour = colour.clamp(min=1e-4).log_().mul_(1 + config.gamma * uniform(n, 1, 1, 1)).exp_()
+    colour.mul_((1 + config.exposure * uniform(n, 1, 1, 1)) * (1 + config.white_balance * uniform(n, 3, 1, 1)))
     # a straight edge through the picture, one side of it darker
     angle = math.pi * uniform(n, 1, 1)
     rows = torch.linspace(-1, 1, height)[None, :, None]
     columns = torch.linspace(-1, 1, width)[None, None, :]
     dark = (angle.cos() * columns + angle.sin() * rows > uniform(n, 1, 1))[:, None]
-    depth = config.shadow * torch.rand(n, 1, 1, 1, generator=generator)
-    colour = torch.where(dark, colour * (1 - depth), colour)
+    colour.mul_(1 - config.shadow * torch.rand(n, 1, 1, 1, generator=generator) * dark)
     sigma = config.noise * torch.rand(n, 1, 1, 1, generator=generator)
-    colour = (colour + sigma * torch.randn(colour.shape, generator=generator)).clamp(0, 1)
-    return torch.cat([colour, pictures[:, 3:]], dim=1)
+    colour.addcmul_(sigma, torch.randn(colour.shape, generator=generator)).clamp_(0, 1)
+    return torch.cat([colour, rest], dim=1) if rest.shape[1] else colour
 
 
 def random_skies(count: int, height: int, generator: torch.Generator) -> Float[Tensor, "count 3 height"]:

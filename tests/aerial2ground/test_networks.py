@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from aerial2ground.networks import NetworkConfig, PictureNetwork
+from aerial2ground.networks import NetworkConfig, PictureNetwork, Smoothing
 from hashnerf.errors import UserError
 
 
@@ -57,3 +57,11 @@ def test_a_smoothing_network_sees_means_of_squares_and_no_border():
 def test_a_square_has_a_middle(smooth):
     with pytest.raises(UserError, match=r"network\.smooth is"):
         NetworkConfig(smooth=smooth)
+
+
+@pytest.mark.parametrize("memory", [torch.contiguous_format, torch.channels_last])
+@pytest.mark.parametrize("size", [3, 5])
+def test_smoothing_is_the_mean_over_what_lies_in_the_square(size, memory):
+    pictures = torch.rand(3, 4, 9, 13, generator=torch.Generator().manual_seed(0)).contiguous(memory_format=memory)
+    expected = torch.nn.functional.avg_pool2d(pictures, size, 1, size // 2, count_include_pad=False)
+    assert torch.allclose(Smoothing(size, 1, size // 2, count_include_pad=False)(pictures), expected, atol=1e-6)
