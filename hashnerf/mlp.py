@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 BLOCK = 4096  # rows: 4096 x 64 activations of 2 bytes fit the second-level cache several times
+GRAIN = 512  # a last block is filled up to a multiple: half-precision products of a size not met before cost 2 ms each
 
 
 class _BlockedMLP(torch.autograd.Function):
@@ -24,12 +25,12 @@ class _BlockedMLP(torch.autograd.Function):
         out = parts[0].new_empty(rows, weights[-1].shape[0], dtype=weights[-1].dtype)
         kept: list[Tensor] = []
         for block in _blocks(parts[0]):
-            x = torch.cat([part[block].to(dtype) for part in parts], dim=1)
+            x = _filled(torch.cat([part[block].to(dtype) for part in parts], dim=1), dtype)
             for weight in low[:-1]:
                 kept.append(x)
                 x = torch.relu_(x @ weight.t())
             kept.append(x)
-            out[block] = x @ low[-1].t()
+            out[block] = (x @ low[-1].t())[: len(out[block])]
         # activations never leave this function, so no one can change them in place: saving them plainly is safe
         ctx.kept, ctx.low, ctx.dtype = kept, low, dtype
         ctx.widths = [part.shape[1] for part in parts]
@@ -50,7 +51,7 @@ class _BlockedMLP(torch.autograd.Function):
         ]
         for number, block in enumerate(_blocks(gradient)):
             activations = ctx.kept[number * layers : (number + 1) * layers]
-            slope = gradient[block].to(ctx.dtype)
+            slope = _filled(gradient[block].to(ctx.dtype), ctx.dtype)
             for layer in reversed(range(layers)):
                 for_weights[layer] += slope.t() @ activations[layer]
                 if layer == 0 and not any(wanted):
@@ -61,8 +62,14 @@ class _BlockedMLP(torch.autograd.Function):
             if any(wanted):
                 for part, piece in zip(for_parts, slope.split(ctx.widths, dim=1)):
                     if part is not None:
-                        part[block] = piece
+                        part[block] = piece[: len(part[block])]
         return None, None, *for_weights, *for_parts
+
+
+def _filled(rows: Tensor, dtype: torch.dtype) -> Tensor:
+    """Rows with zeros below them, which change no product: the library compiles a kernel for every new size."""
+    missing = -len(rows) % GRAIN if dtype == torch.bfloat16 and rows.device.type == "cpu" else 0
+    return nn.functional.pad(rows, (0, 0, 0, missing)) if missing else rows
 
 
 def _blocks(rows: Tensor) -> list[slice]:

@@ -82,3 +82,20 @@ def test_the_bank_equals_one_condition_at_a_time(bank):
     ours = network.first_output_bank(x, conditions)
     rows = [network([x])] if bank is None else [network([x, row.expand(11, 3)]) for row in conditions]
     assert torch.allclose(ours, torch.stack([row[:, 0] for row in rows]), atol=1e-5)
+
+
+@pytest.mark.parametrize("rows", [1, 511, 512, 700, 4097])
+def test_rows_that_fill_a_half_precision_block_change_nothing(rows):
+    torch.manual_seed(0)
+    network, x = MLP(6, 16, 2, 3, low_precision=True), torch.randn(rows, 6)
+    whole = torch.nn.functional.pad(x, (0, 0, 0, -rows % mlp.GRAIN))
+    (padded := network([whole])).square().sum().backward()
+    expected = [weight.grad.clone() for weight in network.weights]
+    network.zero_grad()
+    out = network([x])
+    out.square().sum().backward()
+    assert torch.equal(out, padded[:rows])
+    for weight, gradient in zip(network.weights, expected):
+        assert torch.allclose(weight.grad, gradient, rtol=1e-5, atol=1e-6)
+    slope = torch.autograd.grad(network([x.requires_grad_()]).sum(), x)[0]
+    assert slope.shape == x.shape and slope.isfinite().all()
