@@ -98,15 +98,19 @@ class _Tester:
         return drive_once
 
 
+def test_drives(config: AerialConfig) -> list[TestDrive]:
+    """A person drives a lap of every trajectory in the town as it is now."""
+    survey = load_driven_survey(config)
+    town_of(config, survey)
+    return list(map_in_processes(_Tester(config), list(survey.trajectories), config.workers or usable_cores()))
+
+
 def run_localisation(config: AerialConfig) -> dict:
     """A person drives a lap of every trajectory; returns Table I: how far the networks' poses are from the true ones.
 
     `ours_imu` is `ours` fused with the inertial sensor. Means over seeds of the root mean square over all pictures.
     """
-    survey = load_driven_survey(config)
-    town_of(config, survey)
-    names = list(survey.trajectories)
-    drives = list(map_in_processes(_Tester(config), names, config.workers or usable_cores()))
+    drives = test_drives(config)
     found: dict[str, list[list[np.ndarray]]] = {}
     for method in methods_of(config, LOCALISERS):
         for seed in range(config.seeds):
