@@ -196,6 +196,11 @@ def smallest_that_can(results: Mapping[Case, Errors], target: float) -> dict[str
     return {source: min(own, key=lambda c: (c.filters, c.views), default=None) for source, own in able.items()}
 
 
+def words(case: Case | None, paths: int) -> str:
+    """Says which network it is."""
+    return "none" if case is None else f"the one with {case.filters} filters after {case.views * paths} views"
+
+
 def study_chart(results: Mapping[Case, Errors], paths: int, target: float) -> Figure:
     """Errors against views, and against filters, of both sources; thin lines: on other pictures of their own kind."""
     figure = new_figure(FULL_WIDTH, 3.6)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from aerial2ground.config import AerialConfig
 from aerial2ground.evaluation_stages import test_drives
-from aerial2ground.localiser_study import Trainer, cases, prepare, smallest_that_can, study_chart, study_table
+from aerial2ground.localiser_study import Trainer, cases, prepare, smallest_that_can, study_chart, study_table, words
 from hashnerf.command_line import parse_config, run_main, usable_cores
 from hashnerf.figure_style import png_bytes
 from hashnerf.run_info import commit, machine
@@ -43,7 +43,7 @@ def main() -> None:
         results[case] = errors
         print(f"{case.source} {case.views} views, {case.filters} filters: {errors.now_m:.2f} m", flush=True)
     page, paths = Path(config.page), len(drives)
-    able = {source: case or "none" for source, case in smallest_that_can(results, TARGET).items()}
+    able = {source: words(case, paths) for source, case in smallest_that_can(results, TARGET).items()}
     about = f"`python scripts/study_localiser.py {' '.join(sys.argv[1:])}`; one seed; {machine()}; {commit()}."
     page.with_suffix(".png").write_bytes(png_bytes(study_chart(results, paths, TARGET)))
     page.write_text(

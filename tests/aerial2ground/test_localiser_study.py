@@ -17,6 +17,7 @@ from aerial2ground.localiser_study import (
     smallest_that_can,
     study_chart,
     study_table,
+    words,
 )
 from aerial2ground.stages import load_driven_survey, run_ground_views
 from hashnerf.errors import UserError
@@ -71,6 +72,7 @@ RESULTS = {
 def test_the_smallest_network_that_can():
     assert smallest_that_can(RESULTS, 0.3) == {"field": None, "truth": Case("truth", 400, 8)}
     assert smallest_that_can(RESULTS, 1.0)["field"] == Case("field", 400, 8)
+    assert words(None, 3) == "none" and words(Case("truth", 400, 8), 3) == "the one with 8 filters after 1200 views"
 
 
 def test_table_and_chart():
