@@ -2,7 +2,7 @@
 
 python scripts/make_dataset.py --config configs/worlds/mini_city_avenue.yaml
 python scripts/study_road_prior.py --config configs/aerial2ground/fast.yaml --dataset data/mini_city_avenue \
-    --name prior_study --reconstruction.steps 400
+    --name prior_study --reconstruction.steps 400 --reconstruction.road_prior.start 0.35   # below the crowns
 """
 
 import sys
