@@ -17,8 +17,8 @@ from torch import Tensor
 from aerial2ground.config import AerialConfig
 from aerial2ground.evaluation_stages import TestDrive
 from aerial2ground.ground_poses import GroundPoses, disturbed_poses
-from aerial2ground.ground_truth import axis_depth, true_views
-from aerial2ground.ground_views import cameras_of
+from aerial2ground.ground_truth import true_views
+from aerial2ground.ground_views import cameras_of, nerf_renderer
 from aerial2ground.learning_stages import origin_of, pictures_of, town_of
 from aerial2ground.localisation import pose_distances, train_localiser
 from aerial2ground.stages import Survey, load_driven_survey, load_nerf
@@ -99,14 +99,11 @@ def true_pictures(config: AerialConfig, survey: Survey, count: int, seed: int) -
 def field_pictures(config: AerialConfig, survey: Survey, count: int, seed: int) -> Pictures:
     """Renders the run's field at `count` places per trajectory."""
     nerf, _ = load_nerf(config, survey)
-    parts = []
+    render, parts = nerf_renderer(nerf), []
     for car in _places(config, survey, count, seed):
         cameras = cameras_of(config.camera, car, survey.network.heights_at(torch.from_numpy(car.poses[:, :2])))
-        seen = [nerf.view(cameras, index) for index in range(count)]
-        shape = (cameras.height, cameras.width)
-        rgb = torch.stack([(view.rgb.clamp(0, 1) * 255).round().to(torch.uint8).view(*shape, 3) for view in seen])
-        depth = torch.stack([axis_depth(cameras, index, view.median_depth) for index, view in enumerate(seen)])
-        parts.append((rgb, ~depth.isfinite(), car.poses))
+        rgb, depth = (np.stack(part) for part in zip(*(render(cameras, index) for index in range(count))))
+        parts.append((torch.from_numpy(rgb), torch.from_numpy(depth) == 0, car.poses))
     return Pictures(*(tuple(column) for column in zip(*parts)))
 
 
