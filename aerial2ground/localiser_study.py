@@ -24,6 +24,7 @@ from aerial2ground.localisation import pose_distances, train_localiser
 from aerial2ground.stages import Survey, load_driven_survey, load_nerf
 from hashnerf.errors import UserError
 from hashnerf.figure_style import BLUE, FULL_WIDTH, SMALL, VERMILION, new_figure, style_chart
+from hashnerf.results_page import markdown_table
 
 SOURCES = {"field": "views of the field", "truth": "true pictures"}
 COLOURS = {"field": BLUE, "truth": VERMILION}
@@ -71,13 +72,13 @@ class Pictures:
 
 
 def cases(views: Sequence[int], filters: Sequence[int], most_of_field: int) -> list[Case]:
-    """Returns the networks: every number of views with the first size, every further size with most views.
+    """Returns the networks: every number of views with the smallest size, every larger one with most views.
 
     The field has `most_of_field` views per trajectory; true pictures can be had for the asking.
     """
     if not views or not filters or min(*views, 2) < 2 or min(filters) < 1:
         raise UserError(f"views {list(views)} and filters {list(filters)}: give numbers of 2 or more, and of 1 or more")
-    found = []
+    found, filters = [], sorted(filters)
     for source, own in (("field", [n for n in views if n <= most_of_field] or [most_of_field]), ("truth", list(views))):
         found += [Case(source, count, filters[0]) for count in own]
         found += [Case(source, max(own), size) for size in filters[1:]]
@@ -122,7 +123,7 @@ def _places(config: AerialConfig, survey: Survey, count: int, seed: int) -> list
 
 @dataclass(frozen=True)
 class Trainer:
-    """Trains and tries networks; small enough to be sent to another process."""
+    """Trains and tries networks; every process gets its own copy of the pictures."""
 
     config: AerialConfig
     learn: Mapping[str, Pictures]
@@ -130,7 +131,6 @@ class Trainer:
     drives: Sequence[TestDrive]
 
     def __call__(self) -> Callable[[Case], Errors]:
-        torch.set_num_threads(1)
         return self.errors_of
 
     def errors_of(self, case: Case) -> Errors:
@@ -183,8 +183,7 @@ def study_table(results: Mapping[Case, Errors], paths: int) -> str:
         ]
         for case, errors in results.items()
     ]
-    lines = ["| " + " | ".join(row) + " |" for row in [head, *rows]]
-    return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
+    return markdown_table([head, *rows])
 
 
 def smallest_that_can(results: Mapping[Case, Errors], target: float) -> dict[str, Case | None]:

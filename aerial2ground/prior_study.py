@@ -14,6 +14,7 @@ from scipy.stats import t as student
 
 from aerial2ground.road_prior import VARIANTS
 from hashnerf.errors import UserError
+from hashnerf.results_page import markdown_table
 
 STARTS = {"fog": "false", "opaque ground": "true"}
 FIGURES = {
@@ -88,8 +89,8 @@ def study_tables(figures: dict[Trial, dict[str, float]]) -> str:
                 gains.append([start, label, *(_shown(mean, half, True) for mean, half in pairs)])
     note = f"Mean of {len(seeds)} seeds ± half the width of its 95 % interval."
     return (
-        f"{note}\n\n{_markdown(means)}\n\nGain over no prior with the same start, in pairs of equal seeds; "
-        f"**bold** where the interval excludes 0.\n\n{_markdown(gains)}\n"
+        f"{note}\n\n{markdown_table(means)}\n\nGain over no prior with the same start, in pairs of equal seeds; "
+        f"**bold** where the interval excludes 0.\n\n{markdown_table(gains)}\n"
     )
 
 
@@ -97,8 +98,3 @@ def _shown(mean: float, half: float, sign: bool = False) -> str:
     digits = 2 if max(abs(mean), half) >= 0.3 else 4
     text = f"{mean:+.{digits}f} ± {half:.{digits}f}" if sign else f"{mean:.{digits}f} ± {half:.{digits}f}"
     return f"**{text}**" if sign and abs(mean) > half else text
-
-
-def _markdown(rows: list[list[str]]) -> str:
-    lines = ["| " + " | ".join(row) + " |" for row in rows]
-    return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])

@@ -141,5 +141,6 @@ class LatentNerf(nn.Module):
             self.occupancy,
             self.config.march,
             lambda d: self.field.background(d, row, index_of(d)),
+            density_fn=lambda x, ray: self.field.density(x, row, index_of(x))[0],
         )
         return seen.rgb.cpu().reshape(height, finer, width, finer, 3).mean(dim=(1, 3))

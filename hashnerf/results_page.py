@@ -30,6 +30,12 @@ def copy_reports(runs: Sequence[Path], out: Path) -> None:
         shutil.copyfile(run / "report.json", out / f"{run.name}.json")
 
 
+def markdown_table(rows: Sequence[Sequence[str]]) -> str:
+    """Returns rows of cells, the first of them the head, as a Markdown table."""
+    lines = ["| " + " | ".join(row) + " |" for row in rows]
+    return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])
+
+
 def target_table(reports: Sequence[dict], targets: Sequence[Target], script: str) -> list[str]:
     """Returns the lines of a table of all targets, one column a report; raises UserError where a report lacks one."""
     names = [report["run"]["name"] for report in reports]

@@ -79,3 +79,17 @@ def test_bad_settings_are_named():
         NerfConfig(fresh_start=0.5, fresh_end=0.2)
     with pytest.raises(UserError, match=r"nerf.changed_share"):
         NerfConfig(changed_share=1.5)
+
+
+def test_a_guided_picture_asks_for_the_density_of_its_own_scene(monkeypatch):
+    nerf, latent = build(), torch.tensor([6.0, 30.0])
+    nerf.config = replace(SMALL, march=replace(SMALL.march, guided_per_opacity=4.0))
+    asked, density = [], nerf.field.density
+
+    def recorded(positions, condition=None, index=None):
+        asked.append(condition[index.unique()])
+        return density(positions, condition, index)
+
+    monkeypatch.setattr(nerf.field, "density", recorded)
+    nerf.picture(latent, looking_down(4, 2), 0)
+    assert len(asked) == 1 and torch.equal(asked[0], nerf.condition(latent[None]))

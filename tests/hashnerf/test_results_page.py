@@ -6,7 +6,15 @@ import pytest
 
 from hashnerf.errors import UserError
 from hashnerf.report_tables import Table
-from hashnerf.results_page import PROVENANCE, copy_reports, provenance, read_reports, table_lines, target_table
+from hashnerf.results_page import (
+    PROVENANCE,
+    copy_reports,
+    markdown_table,
+    provenance,
+    read_reports,
+    table_lines,
+    target_table,
+)
 from hashnerf.targets import Target
 
 TARGET = Target("error_m", "error", "<=", "m", 0.1, 0.05)
@@ -54,3 +62,7 @@ def test_a_table_without_rows_leaves_no_trace():
         "",
         "Note.",
     ]
+
+
+def test_rows_as_markdown():
+    assert markdown_table([["a", "b"], ["1", "2"]]) == "| a | b |\n|---|---|\n| 1 | 2 |"
