@@ -12,6 +12,7 @@ from aerial2ground.opaque_ground import make_ground_opaque
 from aerial2ground.pose_refinement import PoseCorrections
 from aerial2ground.road_network import RoadNetwork
 from aerial2ground.road_prior import RoadPriorConfig, draw_prior
+from hashnerf.baked_density import BakedDensity
 from hashnerf.cameras import Cameras, camera_rays
 from hashnerf.errors import UserError
 from hashnerf.field import Field, FieldConfig
@@ -39,7 +40,11 @@ class ReconstructionConfig:
     march: MarchSettings = option(default_factory=lambda: MarchSettings(candidates=128, even_distance=1.0, near=0.02))
     """How rays are sampled."""
     view_samples_per_opacity: float = 8.0
-    """Samples for each interval expected to be opaque when views are rendered; training needs more of them."""
+    """Samples for each interval expected to be opaque, or that guiding shows to be, when views are rendered; training
+    needs more of them."""
+    view_parts: int = 0
+    """With a positive number guiding looks up stored densities when views are rendered: each occupied cell is cut into
+    so many parts along x and y, and `field.flatness` times as many along z; 0 asks the field."""
     fit: FitConfig = option(default_factory=FitConfig)
     """Optimiser and batch."""
     road_prior: RoadPriorConfig = option(default_factory=RoadPriorConfig)
@@ -58,6 +63,8 @@ class ReconstructionConfig:
     """Steps between checkpoints."""
 
     def __post_init__(self):
+        if self.view_parts < 0:
+            raise UserError(f"reconstruction.view_parts is {self.view_parts}; give 0 or more")
         for key in ("steps", "pose_every", "save_every"):
             if getattr(self, key) < 1:
                 raise UserError(f"reconstruction.{key} is {getattr(self, key)}; give at least 1")
@@ -74,11 +81,23 @@ class RoadNerf(nn.Module):
         self.field = Field(config.field, scene_box)
         self.occupancy = OccupancyGrid(config.occupancy, scene_box)
         self.corrections = PoseCorrections(cameras)
+        self.baked: BakedDensity | None = None
+
+    def bake(self) -> None:
+        """Stores densities for views, as `view_parts` asks; to be called again after the field has changed."""
+        parts, flatness = self.config.view_parts, self.config.field.flatness
+        if parts and self.config.march.guided_per_opacity:
+            upwards = max(round(parts * flatness), 1)
+            self.baked = BakedDensity(self.occupancy, (parts, parts, upwards), lambda p: self.field.density(p)[0])
 
     @torch.no_grad()
     def view(self, cameras: Cameras, index: int) -> Rendering:
         """Returns what a camera sees, rows h*w in row-major order; its matrix and lens are honoured."""
-        march = replace(self.config.march, samples_per_opacity=self.config.view_samples_per_opacity)
+        march, fewer = self.config.march, self.config.view_samples_per_opacity
+        if march.guided_per_opacity:
+            march = replace(march, guided_per_opacity=fewer)
+        else:
+            march = replace(march, samples_per_opacity=fewer)
         return render_image(
             cameras,
             index,
@@ -86,8 +105,12 @@ class RoadNerf(nn.Module):
             self.occupancy,
             march,
             self.field.background,
-            density_fn=lambda positions, ray_index: self.field.density(positions)[0],
+            density_fn=self.density,
         )
+
+    def density(self, positions: Tensor, ray_index: Tensor) -> Tensor:
+        """Density as guided marching wants it: stored, if it was."""
+        return self.baked(positions) if self.baked is not None else self.field.density(positions)[0]
 
     def colour_and_density(self, positions: Tensor, directions: Tensor, ray_index: Tensor) -> tuple[Tensor, Tensor]:
         """The field as rendering wants it."""

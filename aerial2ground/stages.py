@@ -159,6 +159,7 @@ def load_nerf(config: AerialConfig, survey: Survey) -> tuple[RoadNerf, dict]:
 def _load_nerf(config: AerialConfig, scene_box: Float[Tensor, "2 3"], cameras: int) -> tuple[RoadNerf, dict]:
     folder = config.folder / "reconstruction"
     nerf, cost = load_model(folder, lambda _: new_nerf(config, scene_box, cameras), "scripts/train_road_nerf.py")
+    nerf.bake()
     return nerf.eval(), cost
 
 

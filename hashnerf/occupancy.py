@@ -89,6 +89,11 @@ class OccupancyGrid(nn.Module):
             index = cell if index is None else index.mul_(count).add_(cell)
         return index
 
+    def lattice_of(self, cells: Int[Tensor, " n"]) -> Int[Tensor, "n 3"]:
+        """Number of each cell along x, y and z, from its index."""
+        _, ny, nz = self.shape
+        return torch.stack([cells // (ny * nz), cells // nz % ny, cells % nz], dim=1)
+
     def densities_along(
         self, rays: Rays, t: Float[Tensor, "rays places"]
     ) -> tuple[Float[Tensor, "rays places"], Float[Tensor, "rays places"], Float[Tensor, "rays places"]]:
@@ -163,7 +168,5 @@ class OccupancyGrid(nn.Module):
 
     def _points(self, cells: Tensor, number: int) -> Float[Tensor, "p 3"]:
         """One point in each cell: the `number`-th of a sequence that fills the cell evenly."""
-        _, ny, nz = self.shape
-        corner = torch.stack([cells // (ny * nz), cells // nz % ny, cells % nz], dim=1)
         offset = torch.tensor([(0.5 + step * number) % 1.0 for step in SEQUENCE], device=cells.device)
-        return self.box[0] + (corner + offset) / self.inverse_edges
+        return self.box[0] + (self.lattice_of(cells) + offset) / self.inverse_edges

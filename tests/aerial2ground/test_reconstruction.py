@@ -55,6 +55,26 @@ def test_training_learns_and_corrects_poses(tiny_run):
     assert nerf.corrections.translation.abs().max() > 0 and cost["seconds"] > 0
 
 
+def test_views_from_stored_densities_are_those_of_the_field(tiny_run, monkeypatch):
+    survey = load_survey(tiny_run)
+    nerf, _ = load_nerf(tiny_run, survey)
+    guided = replace(nerf.config.march, guided_per_opacity=8.0, samples=64)
+    nerf.config = replace(nerf.config, march=guided, view_parts=4, view_samples_per_opacity=8.0)
+    asked = nerf.view(survey.test.cameras, 0)
+    nerf.bake()
+    monkeypatch.setattr(nerf.field, "density", lambda positions: pytest.fail("the field was asked for its density"))
+    stored = nerf.view(survey.test.cameras, 0)
+    assert float((stored.rgb - asked.rgb).square().mean()) < 1e-4
+    assert not torch.equal(stored.rgb, asked.rgb)
+
+
+def test_nothing_is_stored_where_nothing_is_guided(tiny_run):
+    nerf, _ = load_nerf(tiny_run, load_survey(tiny_run))
+    nerf.config = replace(nerf.config, view_parts=4, march=replace(nerf.config.march, guided_per_opacity=0.0))
+    nerf.bake()
+    assert nerf.baked is None
+
+
 def test_told_poses_can_be_kept(tiny_run):
     config = replace(
         tiny_run, name="kept", reconstruction=replace(tiny_run.reconstruction, refine_poses=False, steps=3)
@@ -72,7 +92,7 @@ def test_a_finished_training_is_left_alone_and_another_config_refused(tiny_run, 
         run_reconstruction(other)
 
 
-@pytest.mark.parametrize("changes", [{"steps": 0}, {"save_every": 0}, {"pose_learning_rate": 0.0}])
+@pytest.mark.parametrize("changes", [{"steps": 0}, {"save_every": 0}, {"view_parts": -1}, {"pose_learning_rate": 0.0}])
 def test_bad_settings_are_named(changes):
     with pytest.raises(UserError, match="reconstruction"):
         ReconstructionConfig(**changes)
