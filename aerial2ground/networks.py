@@ -22,28 +22,11 @@ class NetworkConfig:
     """Units of both fully connected layers (paper: 64)."""
     depth: bool = False
     """Read depth as a fourth channel; views, training, the car's camera and exported policies follow."""
-    smooth: int = 1
-    """Width in pixels of the square over which pictures are averaged first, odd (paper: 1, none). Views of a field are
-    less sharp than a camera's: what only sharp pictures show cannot be learned from them."""
 
     def __post_init__(self):
         for key in ("filters", "layers", "hidden"):
             if getattr(self, key) < 1:
                 raise UserError(f"network.{key} is {getattr(self, key)}; give at least 1")
-        if self.smooth < 1 or self.smooth % 2 == 0:
-            raise UserError(f"network.smooth is {self.smooth}; give an odd number of pixels")
-
-
-class Smoothing(nn.AvgPool2d):
-    """The mean over a square around every pixel, as a convolution: eight times as fast as the library's pooling."""
-
-    def forward(self, pictures: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
-        """Smooths every channel; at the border the mean is over what there is."""
-        channels, size = pictures.shape[1], int(self.kernel_size)
-        square = pictures.new_ones(channels, 1, size, size)
-        total = nn.functional.conv2d(pictures, square, padding=size // 2, groups=channels)
-        count = nn.functional.conv2d(pictures.new_ones(1, 1, *pictures.shape[2:]), square[:1], padding=size // 2)
-        return total / count
 
 
 class PictureNetwork(nn.Module):
@@ -54,8 +37,6 @@ class PictureNetwork(nn.Module):
         self.config, self.height, self.width = config, height, width
         self.channels = 4 if config.depth else 3
         channels, layers = self.channels, []
-        if config.smooth > 1:
-            layers.append(Smoothing(config.smooth, 1, config.smooth // 2, count_include_pad=False))
         for number in range(config.layers):
             stride = 1 if number == config.layers - 1 else 2
             layers += [nn.Conv2d(channels, config.filters, 3, stride, 1), nn.BatchNorm2d(config.filters), nn.ReLU()]

@@ -60,7 +60,7 @@ def exported(tmp_path, network, depth_range=4.0):
 
 
 @pytest.mark.parametrize("size", [(36, 64), (120, 160), (17, 31)])
-@pytest.mark.parametrize("config", [PAPER, NetworkConfig(depth=True), NetworkConfig(4, 2, 16), NetworkConfig(smooth=5)])
+@pytest.mark.parametrize("config", [PAPER, NetworkConfig(depth=True), NetworkConfig(4, 2, 16)])
 def test_random_networks_on_extreme_pictures(tmp_path, size, config):
     network = lively(config, *size)
     policy = exported(tmp_path, network)
