@@ -1,0 +1,39 @@
+"""Align a drone's pictures with each other before training: a copy of a data set with better poses.
+
+python scripts/align_survey.py --dataset data/mini_city --out data/mini_city_aligned
+
+For surveys whose poses are wrong by centimetres and degrees, over flat ground with a road network. Say how wrong they
+may be with --alignment.position_std (m) and --alignment.angle_std (degrees).
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from aerial2ground.survey_alignment import AlignmentConfig, align_folder
+from hashnerf.command_line import parse_config, run_main, set_threads
+
+
+@dataclass(frozen=True)
+class AlignConfig:
+    """What to align."""
+
+    dataset: str
+    """Folder of the drone's pictures."""
+    out: str
+    """Folder to write."""
+    threads: int = 0
+    """Processor threads; 0 uses all cores."""
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    """How it is done."""
+
+
+def main() -> None:
+    """Align and say how well the pictures agree."""
+    config = parse_config(AlignConfig, description="Align a drone's pictures with each other.")
+    set_threads(config.threads)
+    aligned = align_folder(Path(config.dataset), Path(config.out), config.alignment)
+    print(f"{config.out}: {aligned.sightings} sightings of the ground agree within {aligned.median_px:.2f} px (median)")
+
+
+if __name__ == "__main__":
+    run_main(main)
