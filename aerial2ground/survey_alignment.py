@@ -9,6 +9,7 @@ import json
 import math
 import shutil
 import tempfile
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -67,7 +68,13 @@ class Aligned:
     """Median error, pixels."""
 
 
-def align_survey(data: PosedImages, height: float, config: AlignmentConfig) -> Aligned:
+OnRound = Callable[[int, int, float], None]
+"""Is told the number of a finished round, its sightings and their median error (pixels)."""
+
+
+def align_survey(
+    data: PosedImages, height: float, config: AlignmentConfig, on_round: OnRound = lambda number, sightings, px: None
+) -> Aligned:
     """Aligns all pictures of `data` over the ground at z = `height` (m); raises UserError where too little is seen."""
     pose = data.cameras.pose.double().numpy()
     told = bundle = Bundle(pose[:, :3, :3], pose[:, :3, 3], np.zeros((0, 3)))
@@ -75,7 +82,7 @@ def align_survey(data: PosedImages, height: float, config: AlignmentConfig) -> A
     beliefs = Beliefs(config.position_std, math.radians(config.angle_std), NOISE / focal)
     raster = Raster.over(data.cameras, data.scene_box, height)
     expected = focal * beliefs.angle_std + config.position_std / raster.pixel
-    seen = Sightings.none()
+    seen, median = Sightings.none(), math.nan
     for number in range(config.rounds):
         cameras = replace(data.cameras, pose=_poses(bundle))
         # each halving of the pictures doubles the reach of the flow, which is a few pixels
@@ -89,13 +96,16 @@ def align_survey(data: PosedImages, height: float, config: AlignmentConfig) -> A
         bundle = Bundle(bundle.rotation, bundle.position, triangulated(bundle.rotation, bundle.position, seen))
         for scale in LATER_SCALES if number else FIRST_SCALES:
             bundle = adjusted(told, bundle, seen, beliefs, scale)
+        median = float(np.median(np.linalg.norm(errors(bundle, seen)[0], axis=1))) * focal
+        on_round(number + 1, len(seen.point), median)
     lost = np.bincount(seen.camera, minlength=len(pose)) < FEWEST_SIGHTINGS
     found = torch.where(torch.from_numpy(lost)[:, None, None], data.cameras.pose, _poses(bundle))
-    off = np.linalg.norm(errors(bundle, seen)[0], axis=1) * focal
-    return Aligned(found, len(seen.point), float(np.median(off)) if len(off) else math.nan)
+    return Aligned(found, len(seen.point), median)
 
 
-def align_folder(folder: Path, out: Path, config: AlignmentConfig) -> Aligned:
+def align_folder(
+    folder: Path, out: Path, config: AlignmentConfig, on_round: OnRound = lambda number, sightings, px: None
+) -> Aligned:
     """Writes a copy of a data set in which the training pictures are aligned; held-out ones keep their told poses.
 
     alignment.json in the copy tells what was done. Raises UserError for an `out` that is there and for a data set
@@ -109,7 +119,7 @@ def align_folder(folder: Path, out: Path, config: AlignmentConfig) -> Aligned:
     if network.heights is not None:
         raise UserError(f"{source}: its roads are not level; pictures can be aligned over flat ground only")
     train = data.split("train")
-    aligned = align_survey(train, network.height, config)
+    aligned = align_survey(train, network.height, config, on_round)
     poses = aligned.poses.double()
     poses[:, :3, 3] += data.origin
     found = {frame.file_path: pose.tolist() for frame, pose in zip(train.frames, poses)}

@@ -31,8 +31,12 @@ def main() -> None:
     """Align and say how well the pictures agree."""
     config = parse_config(AlignConfig, description="Align a drone's pictures with each other.")
     set_threads(config.threads)
-    aligned = align_folder(Path(config.dataset), Path(config.out), config.alignment)
-    print(f"{config.out}: {aligned.sightings} sightings of the ground agree within {aligned.median_px:.2f} px (median)")
+
+    def tell(number: int, sightings: int, median: float) -> None:
+        print(f"round {number}: {sightings} sightings of the ground agree within {median:.2f} px (median)", flush=True)
+
+    align_folder(Path(config.dataset), Path(config.out), config.alignment, tell)
+    print(f"{config.out}: written; train on it with --dataset {config.out}")
 
 
 if __name__ == "__main__":

@@ -41,8 +41,10 @@ def test_good_poses_are_not_spoilt_and_the_call_repeats_itself(tmp_path):
     poses = flight(16)
     data = survey(poses, poses, tmp_path)
     config = AlignmentConfig(position_std=0.02, angle_std=1.0, rounds=2)
-    aligned = align_survey(data, 0.0, config)
+    told = []
+    aligned = align_survey(data, 0.0, config, lambda *of: told.append(of))
     assert rms(aligned.poses, poses)[0] < 0.003
+    assert [number for number, _, _ in told] == [1, 2] and told[-1][1:] == (aligned.sightings, aligned.median_px)
     assert torch.equal(aligned.poses, align_survey(data, 0.0, config).poses)
 
 
@@ -72,7 +74,7 @@ def test_bad_settings_are_named(changes):
 
 
 def test_a_folder_is_copied_with_better_training_poses(tmp_path, survey_folder, monkeypatch):
-    def moved(data, height, config):
+    def moved(data, height, config, on_round):
         poses = data.cameras.pose.clone()
         poses[:, 0, 3] += 0.5
         return Aligned(poses, 7, 0.25)

@@ -7,6 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from aerial2ground.evaluate_reconstruction import true_poses
+from aerial2ground.pose_refinement import pose_errors
+from hashnerf.posed_images import load_posed_images
+
 ROOT = Path(__file__).resolve().parents[2]
 TINY = """
 name: tiny
@@ -82,3 +86,26 @@ def test_wrong_settings_get_one_sentence(place):
     assert "frames" in run("export_policy", *config, "--frames", "-1", expect=2)
     assert "run scripts/train_policy" in run("export_policy", *config, "--name", "new", expect=2)
     assert "road_prior" in run("train_road_nerf", *config, "--reconstruction.road_prior.share", "-1", expect=2)
+
+
+def test_a_survey_with_wrong_poses_is_aligned(tmp_path):
+    run(
+        "make_dataset", "--config", "configs/worlds/mini_city.yaml", "--image_size", "160",
+        "--mini_city.survey.images", "48", "--mini_city.survey.position_noise", "0.02",
+        "--mini_city.survey.angle_noise", "1.5", "--out", str(tmp_path / "city"), "--workers", "1",
+    )  # fmt: skip
+    options = ("--alignment.position_std", "0.02", "--alignment.angle_std", "1.5", "--threads", "1")
+    said = run("align_survey", "--dataset", str(tmp_path / "city"), "--out", str(tmp_path / "aligned"), *options)
+    assert "round 5: " in said and "(median)" in said
+
+    def errors(folder: Path) -> tuple[float, float]:
+        data = load_posed_images(folder).split("train")
+        metres, radians = pose_errors(data.cameras.pose, true_poses(folder, data))
+        return float(metres.square().mean().sqrt()), float(radians.square().mean().sqrt())
+
+    before, after = errors(tmp_path / "city"), errors(tmp_path / "aligned")
+    assert after[0] < 0.5 * before[0] and after[1] < 0.3 * before[1]
+    again = run("align_survey", "--dataset", str(tmp_path / "city"), "--out", str(tmp_path / "aligned"), expect=2)
+    assert "is there already" in again
+    said = run("align_survey", "--dataset", str(tmp_path / "none"), "--out", str(tmp_path / "x"), expect=2)
+    assert "none" in said and "transforms.json" in said and not (tmp_path / "x").exists()
