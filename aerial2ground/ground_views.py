@@ -46,18 +46,21 @@ def nerf_renderer(nerf: RoadNerf) -> Renderer:
 
 def render_views(
     make_renderer: Callable[[], Renderer],
-    cameras: Cameras,
-    folder: FilePath,
+    sets: Sequence[tuple[Cameras, FilePath]],
     workers: int,
     on_view: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
-    """Writes images/ and depth/ of every camera that has none yet; `make_renderer` is called once a process."""
-    missing = [index for index in range(len(cameras)) if not is_there(folder, index)]
-    done = len(cameras) - len(missing)
-    on_view(done, len(cameras))
-    for _ in map_in_processes(_Writer(make_renderer, cameras, folder), missing, workers, chunk=8):
+    """Writes images/ and depth/ of every camera that has none yet in the folder of its set.
+
+    `make_renderer` is called once a process; `on_view` is told how many views are there, and of how many.
+    """
+    places = [(number, index) for number, (cameras, _) in enumerate(sets) for index in range(len(cameras))]
+    missing = [(number, index) for number, index in places if not is_there(sets[number][1], index)]
+    done = len(places) - len(missing)
+    on_view(done, len(places))
+    for _ in map_in_processes(_Writer(make_renderer, sets), missing, workers, chunk=8):
         done += 1
-        on_view(done, len(cameras))
+        on_view(done, len(places))
 
 
 def is_there(folder: FilePath, index: int) -> bool:
@@ -161,14 +164,14 @@ class _Writer:
     """Renders a view and writes its files; small enough to be sent to another process."""
 
     make_renderer: Callable[[], Renderer]
-    cameras: Cameras
-    folder: FilePath
+    sets: Sequence[tuple[Cameras, FilePath]]
 
-    def __call__(self) -> Callable[[int], None]:
+    def __call__(self) -> Callable[[tuple[int, int]], None]:
         renderer = self.make_renderer()
 
-        def write(index: int) -> None:
-            write_view(self.folder, index, *renderer(self.cameras, index))
+        def write(place: tuple[int, int]) -> None:
+            (cameras, folder), index = self.sets[place[0]], place[1]
+            write_view(folder, index, *renderer(cameras, index))
 
         return write
 

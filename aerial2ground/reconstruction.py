@@ -1,5 +1,6 @@
 """Drone pictures and a road network become a radiance field (aerial2ground III-B, Alg. 1)."""
 
+import math
 from dataclasses import dataclass, replace
 from dataclasses import field as option
 from pathlib import Path
@@ -83,12 +84,16 @@ class RoadNerf(nn.Module):
         self.corrections = PoseCorrections(cameras)
         self.baked: BakedDensity | None = None
 
-    def bake(self) -> None:
-        """Stores densities for views, as `view_parts` asks; to be called again after the field has changed."""
-        parts, flatness = self.config.view_parts, self.config.field.flatness
-        if parts and self.config.march.guided_per_opacity:
-            upwards = max(round(parts * flatness), 1)
-            self.baked = BakedDensity(self.occupancy, (parts, parts, upwards), lambda p: self.field.density(p)[0])
+    def bake(self, rays: int) -> None:
+        """Stores densities, if `view_parts` asks for it and looking them up for `rays` rays is less work than asking.
+
+        To be called again after the field has changed.
+        """
+        parts, march = self.config.view_parts, self.config.march
+        cut = (parts, parts, max(round(parts * self.config.field.flatness), 1))
+        questions = int(self.occupancy.occupied().sum()) * math.prod(cut)
+        if parts and march.guided_per_opacity and questions < rays * march.samples_per_opacity:
+            self.baked = BakedDensity(self.occupancy, cut, lambda positions: self.field.density(positions)[0])
 
     @torch.no_grad()
     def view(self, cameras: Cameras, index: int) -> Rendering:

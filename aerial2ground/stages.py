@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from aerial2ground.config import AerialConfig
-from aerial2ground.ground_poses import disturbed_poses
+from aerial2ground.ground_poses import GroundPoses, disturbed_poses
 from aerial2ground.ground_views import Renderer, cameras_of, describe_views, nerf_renderer, render_views
 from aerial2ground.imitation import expert_steering
 from aerial2ground.paths import Path
@@ -159,7 +159,6 @@ def load_nerf(config: AerialConfig, survey: Survey) -> tuple[RoadNerf, dict]:
 def _load_nerf(config: AerialConfig, scene_box: Float[Tensor, "2 3"], cameras: int) -> tuple[RoadNerf, dict]:
     folder = config.folder / "reconstruction"
     nerf, cost = load_model(folder, lambda _: new_nerf(config, scene_box, cameras), "scripts/train_road_nerf.py")
-    nerf.bake()
     return nerf.eval(), cost
 
 
@@ -170,24 +169,31 @@ class SavedField:
     config: AerialConfig
     scene_box: Float[Tensor, "2 3"]
     cameras: int
+    rays: int
+    """About how many rays will be rendered."""
 
     def __call__(self) -> Renderer:
         """Returns the renderer."""
-        return nerf_renderer(_load_nerf(self.config, self.scene_box, self.cameras)[0])
+        nerf, _ = _load_nerf(self.config, self.scene_box, self.cameras)
+        nerf.bake(self.rays)
+        return nerf_renderer(nerf)
 
 
 def run_ground_views(config: AerialConfig, on_view: Callable[[int, int], None] = lambda done, total: None) -> None:
     """Stage 2: disturbed ground views along every trajectory, with what the expert would steer."""
     survey = load_driven_survey(config)
-    field = SavedField(config, survey.data.scene_box, len(survey.train.images))
-    total = config.imitation.views * len(survey.trajectories)
-    for number, (name, path) in enumerate(survey.trajectories.items()):
-        car = disturbed_poses(
-            path, config.imitation.views, config.imitation.disturbance, np.random.default_rng([config.seed, number])
-        )
-        cameras = cameras_of(config.camera, car, survey.network.heights_at(torch.from_numpy(car.poses[:, :2])))
-        folder, before = config.folder / "ground" / name, number * config.imitation.views
-        workers = config.workers or usable_cores()
-        render_views(field, cameras, folder, workers, lambda done, _, before=before: on_view(before + done, total))
-        wanted = expert_steering(path, car, config.pure_pursuit)
-        describe_views(cameras, car, wanted, folder, survey.data.scene_box, {})
+    wanted = {name: _disturbed_views(config, survey, name) for name in survey.trajectories}
+    sets = [(cameras, config.folder / "ground" / name) for name, (_, cameras) in wanted.items()]
+    workers = config.workers or usable_cores()
+    rays = sum(len(cameras) for cameras, _ in sets) * config.camera.width * config.camera.height // workers
+    field = SavedField(config, survey.data.scene_box, len(survey.train.images), rays)
+    render_views(field, sets, workers, on_view)
+    for (name, (car, cameras)), (_, folder) in zip(wanted.items(), sets):
+        steering = expert_steering(survey.trajectories[name], car, config.pure_pursuit)
+        describe_views(cameras, car, steering, folder, survey.data.scene_box, {})
+
+
+def _disturbed_views(config: AerialConfig, survey: Survey, name: str) -> tuple[GroundPoses, Cameras]:
+    rng = np.random.default_rng([config.seed, list(survey.trajectories).index(name)])
+    car = disturbed_poses(survey.trajectories[name], config.imitation.views, config.imitation.disturbance, rng)
+    return car, cameras_of(config.camera, car, survey.network.heights_at(torch.from_numpy(car.poses[:, :2])))

@@ -29,7 +29,7 @@ def make_flat():
 
 
 def write(folder, workers=1):
-    render_views(make_flat, CAMERAS, folder, workers)
+    render_views(make_flat, [(CAMERAS, folder)], workers)
     describe_views(CAMERAS, CAR, np.linspace(-0.4, 0.4, 9), folder, BOX, {})
 
 
@@ -75,12 +75,26 @@ def test_an_interrupted_call_goes_on(tmp_path):
         return render
 
     with pytest.raises(KeyboardInterrupt):
-        render_views(breaking, CAMERAS, tmp_path, 1)
+        render_views(breaking, [(CAMERAS, tmp_path)], 1)
     assert [is_there(tmp_path, index) for index in range(9)] == [True] * 4 + [False] * 5
     seen = []
-    render_views(breaking, CAMERAS, tmp_path, 1, lambda done, total: seen.append((done, total)))
+    render_views(breaking, [(CAMERAS, tmp_path)], 1, lambda done, total: seen.append((done, total)))
     assert calls[5:] == [4, 5, 6, 7, 8], "only what was missing"
     assert seen[0] == (4, 9) and seen[-1] == (9, 9)
+
+
+def test_all_sets_are_rendered_by_one_renderer(tmp_path):
+    made = []
+
+    def make():
+        made.append(1)
+        return flat
+
+    sets = [(CAMERAS, tmp_path / "a"), (CAMERAS.select([0, 1]), tmp_path / "b")]
+    seen = []
+    render_views(make, sets, 1, lambda done, total: seen.append((done, total)))
+    assert made == [1] and seen[-1] == (11, 11)
+    assert is_there(tmp_path / "a", 8) and is_there(tmp_path / "b", 1) and not is_there(tmp_path / "b", 2)
 
 
 def test_folders_that_are_no_ground_views(tmp_path):

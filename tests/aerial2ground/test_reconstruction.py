@@ -61,7 +61,7 @@ def test_views_from_stored_densities_are_those_of_the_field(tiny_run, monkeypatc
     guided = replace(nerf.config.march, guided_per_opacity=8.0, samples=64)
     nerf.config = replace(nerf.config, march=guided, view_parts=4, view_samples_per_opacity=8.0)
     asked = nerf.view(survey.test.cameras, 0)
-    nerf.bake()
+    nerf.bake(10**9)
     monkeypatch.setattr(nerf.field, "density", lambda positions: pytest.fail("the field was asked for its density"))
     stored = nerf.view(survey.test.cameras, 0)
     assert float((stored.rgb - asked.rgb).square().mean()) < 1e-4
@@ -71,8 +71,19 @@ def test_views_from_stored_densities_are_those_of_the_field(tiny_run, monkeypatc
 def test_nothing_is_stored_where_nothing_is_guided(tiny_run):
     nerf, _ = load_nerf(tiny_run, load_survey(tiny_run))
     nerf.config = replace(nerf.config, view_parts=4, march=replace(nerf.config.march, guided_per_opacity=0.0))
-    nerf.bake()
+    nerf.bake(10**9)
     assert nerf.baked is None
+
+
+def test_a_few_views_are_not_worth_storing_densities(tiny_run):
+    nerf, _ = load_nerf(tiny_run, load_survey(tiny_run))
+    march = replace(nerf.config.march, guided_per_opacity=8.0, samples_per_opacity=4.0)
+    nerf.config = replace(nerf.config, view_parts=3, march=march)
+    questions = int(nerf.occupancy.occupied().sum()) * 3 * 3 * 3
+    nerf.bake(questions // 4)
+    assert nerf.baked is None
+    nerf.bake(questions // 4 + 1)
+    assert nerf.baked is not None
 
 
 def test_told_poses_can_be_kept(tiny_run):
