@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 NEAREST = 1e-3
 """Metres in front of a camera below which nothing is seen."""
-HIDDEN = 50.0
-"""Cost of a sighting of what lies behind the camera, in squares of `noise`."""
+MOST = 1e12
+"""Square of an error, in units of `noise`, beyond which it is as good as infinite; what lies behind a camera has it."""
 ENOUGH = 1e-5
 """A step that lowers the cost by a smaller share ends the search."""
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e8
@@ -128,8 +128,8 @@ def errors(bundle: Bundle, seen: Sightings) -> tuple[Float[np.ndarray, "k 2"], F
 
 def _cost(bundle: Bundle, told: Bundle, seen: Sightings, beliefs: Beliefs, scale: float) -> float:
     off, _ = errors(bundle, seen)
-    squared = np.square(off / beliefs.noise).sum(axis=1)
-    own = np.where(np.isfinite(squared), scale**2 * np.log1p(np.minimum(squared, 1e12) / scale**2), HIDDEN)
+    squared = np.minimum(np.square(off / beliefs.noise).sum(axis=1), MOST)
+    own = scale**2 * np.log1p(squared / scale**2)
     return float(own.sum() + np.square(bundle.from_told(told) / _stds(beliefs)).sum())
 
 

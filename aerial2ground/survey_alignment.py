@@ -29,6 +29,8 @@ NOISE = 0.5
 """Pixels: what a sighting counts for. Places are found more exactly, but neighbours err alike."""
 FIRST_SCALES, LATER_SCALES = (16.0, 4.0, 1.4), (4.0, 1.4)
 """Multiples of NOISE from which errors are taken for mistakes, the last after the first has brought things near."""
+MOST_PICTURES = 400
+"""All pairs of pictures are compared: a hundred take a minute, so many a quarter of an hour."""
 WIDEST = 3
 """Halvings of pictures on the ground at the first look; more leave nothing of where they overlap."""
 FEWEST_SIGHTINGS = 6
@@ -75,7 +77,15 @@ OnRound = Callable[[int, int, float], None]
 def align_survey(
     data: PosedImages, height: float, config: AlignmentConfig, on_round: OnRound = lambda number, sightings, px: None
 ) -> Aligned:
-    """Aligns all pictures of `data` over the ground at z = `height` (m); raises UserError where too little is seen."""
+    """Aligns all pictures of `data` over the ground at z = `height` (m); raises UserError where too little is seen.
+
+    The same for more than MOST_PICTURES pictures.
+    """
+    if len(data) > MOST_PICTURES:
+        raise UserError(
+            f"{data.folder}: has {len(data)} training pictures, and all pairs are compared; "
+            f"align a survey of at most {MOST_PICTURES}, taken from above"
+        )
     pose = data.cameras.pose.double().numpy()
     told = bundle = Bundle(pose[:, :3, :3], pose[:, :3, 3], np.zeros((0, 3)))
     pictures, focal = data.images.numpy(), float(data.cameras.focal.mean())

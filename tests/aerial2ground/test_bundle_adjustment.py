@@ -4,7 +4,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from aerial2ground.bundle_adjustment import Beliefs, Bundle, Sightings, _slopes, _System, adjusted, errors, triangulated
+from aerial2ground.bundle_adjustment import (
+    Beliefs,
+    Bundle,
+    Sightings,
+    _cost,
+    _slopes,
+    _System,
+    adjusted,
+    errors,
+    triangulated,
+)
 
 BELIEFS = Beliefs(0.05, 0.05, 0.001)
 
@@ -136,6 +146,17 @@ def test_points_behind_a_camera_are_no_reason_to_fail():
     others = seen.camera != 0
     rest = Sightings(seen.camera[others], seen.point[others], seen.place[others])
     assert misfit(found, rest) < 0.003
+
+
+@pytest.mark.parametrize("scale", [0.7, 16.0])
+def test_to_see_a_point_from_behind_is_never_cheaper_than_to_see_it_wrong(scale):
+    truth, seen = town(np.random.default_rng(7), points=1)
+    one = Sightings(seen.camera[:1], seen.point[:1], seen.place[:1])
+    ahead = -truth.rotation[0][:, 2]
+    wrong, behind = (Bundle(truth.rotation, truth.position, (truth.position[0] + at)[None]) for at in (
+        ahead + 50 * truth.rotation[0][:, 0], -ahead,
+    ))  # fmt: skip
+    assert _cost(behind, truth, one, BELIEFS, scale) > _cost(wrong, truth, one, BELIEFS, scale) > 0
 
 
 @pytest.mark.parametrize("least", [1, 3])

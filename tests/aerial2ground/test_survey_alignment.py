@@ -67,6 +67,12 @@ def test_nothing_to_see_is_said(tmp_path):
         align_survey(replace(data, images=torch.zeros_like(data.images)), 0.0, AlignmentConfig())
 
 
+def test_too_many_pictures_are_refused_at_once(tmp_path, monkeypatch):
+    monkeypatch.setattr("aerial2ground.survey_alignment.MOST_PICTURES", 11)
+    with pytest.raises(UserError, match="has 12 training pictures"):
+        align_survey(survey(flight(), flight(), tmp_path), 0.0, AlignmentConfig())
+
+
 @pytest.mark.parametrize("changes", [{"rounds": 0}, {"position_std": 0.0}, {"angle_std": float("inf")}, {"corners": 3}])
 def test_bad_settings_are_named(changes):
     with pytest.raises(UserError, match=rf"alignment\.{next(iter(changes))} is"):
