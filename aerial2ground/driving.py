@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from aerial2ground.car import CarConfig, CarState, advance, footprint
 from aerial2ground.ground_poses import shifted
@@ -38,15 +38,16 @@ class DriveConfig:
     start_heading: float = 8.0
     """Largest error of the first heading, degrees."""
     intervention: float = 0.175
-    """Lateral error at which somebody intervenes: half a lane, metres."""
+    """Lateral error at which somebody intervenes: half a lane, metres; .inf: only where a body is touched."""
 
     def __post_init__(self):
         for key in ("laps", "motion_ticks"):
             if getattr(self, key) < 1:
                 raise UserError(f"drive.{key} is {getattr(self, key)}; give at least 1")
-        for key in ("tick", "intervention"):
-            if not 0 < getattr(self, key) < math.inf:
-                raise UserError(f"drive.{key} is {getattr(self, key)}; give a positive number")
+        if not 0 < self.tick < math.inf:
+            raise UserError(f"drive.tick is {self.tick}; give a positive number")
+        if not self.intervention > 0:
+            raise UserError(f"drive.intervention is {self.intervention}; give a positive number")
         for key in ("start_lateral", "start_heading"):
             if not 0 <= getattr(self, key) < math.inf:
                 raise UserError(f"drive.{key} is {getattr(self, key)}; give 0 or a positive number")
@@ -63,6 +64,13 @@ class Drive:
     """Time (s) and pose (x, y, yaw) of the rear axle, `motion_ticks` of them per moment, from the start on."""
     put_back: Float[np.ndarray, "interventions 2"]
     """Where somebody intervened."""
+    put_back_at: Int[np.ndarray, " interventions"]
+    """After which moments: `motion` jumps there, as nothing that drives can."""
+
+    @property
+    def unbroken(self) -> int:
+        """Moments until the car was first lifted and put back; all of them where it never was."""
+        return int(self.put_back_at[0]) + 1 if self.interventions else len(self.lateral)
 
     @property
     def interventions(self) -> int:
@@ -97,7 +105,7 @@ def drive(
     """
     state = _start(path, config, pursuit, rng)
     smooth = LowPass(pursuit.low_pass)
-    lateral, heading, track, put_back = [], [], [], []
+    lateral, heading, track, put_back, put_back_at = [], [], [], [], []
     step = config.tick / config.motion_ticks
     motion = [(0.0, *state.pose)]
     travelled, last = 0.0, path.nearest(state.pose[:2])[0]
@@ -117,13 +125,19 @@ def drive(
         last = s
         if abs(left) > config.intervention or touches(footprint(state.pose, car)):
             put_back.append((state.x, state.y))
+            put_back_at.append(len(lateral) - 1)
             x, y, yaw = path.poses(np.array([s]))[0]
             state = CarState(float(x), float(y), float(yaw), state.speed)
             smooth = LowPass(pursuit.low_pass)
         if travelled >= config.laps * path.length - 1e-6 or (not path.closed and s >= path.length - 0.02):
             break
     return Drive(
-        np.array(lateral), np.array(heading), np.array(track), np.array(motion), np.array(put_back).reshape(-1, 2)
+        np.array(lateral),
+        np.array(heading),
+        np.array(track),
+        np.array(motion),
+        np.array(put_back).reshape(-1, 2),
+        np.array(put_back_at, dtype=int),
     )
 
 

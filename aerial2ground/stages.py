@@ -73,10 +73,11 @@ def load_survey(config: AerialConfig) -> Survey:
         raise UserError(
             f"{folder}: has {count} training pictures, too few for a radiance field; take at least {FEWEST_PICTURES}"
         )
-    unseen = unseen_road(survey.train.cameras, network)
+    unseen = unseen_road(survey.train.cameras, network, data.scene_box)
     if unseen == 1.0:
         raise UserError(
-            f"{folder}: no picture shows any of the road network; its lines must be metres in the frame of the poses"
+            f"{folder}: no picture shows any of the road network within the scene's box; "
+            "its lines must be metres in the frame of the poses"
         )
     return survey
 
@@ -115,14 +116,18 @@ def _with_box(data: PosedImages, config: AerialConfig) -> PosedImages:
     return replace(data, scene_box=box)
 
 
-def unseen_road(cameras: Cameras, network: RoadNetwork) -> float:
-    """Returns the share of the roads' surface that lies outside all pictures."""
+def unseen_road(cameras: Cameras, network: RoadNetwork, box: Float[Tensor, "2 3"]) -> float:
+    """Returns the share of the roads' surface that lies outside all pictures, or beside the box of the scene.
+
+    A picture that shows the horizon shows what is any distance away.
+    """
     points, _ = network.sample(500, torch.Generator().manual_seed(0))
+    inside = ((points >= box[0]) & (points <= box[1]))[:, :2].all(dim=1)
     seen = torch.zeros(len(points), dtype=torch.bool)
     for index in range(len(cameras)):
         pixel, _ = project(cameras, torch.full((len(points),), index), points)
         seen |= ((pixel >= 0) & (pixel < torch.tensor([cameras.width, cameras.height]))).all(dim=1)
-    return float((~seen).float().mean())
+    return float((~(seen & inside)).float().mean())
 
 
 def run_reconstruction(config: AerialConfig) -> None:

@@ -27,7 +27,13 @@ class SurveyConfig:
     """How the drone flies and how well it knows where it is."""
 
     images: int = 100
-    """Pictures in all, half of them straight down."""
+    """Pictures in all."""
+    oblique_share: float = 0.7
+    """Share of the pictures that look ahead and down; the others look straight down."""
+    steepest: float = 45.0
+    """Largest angle of an oblique picture below the horizon, degrees."""
+    flattest: float = 15.0
+    """Smallest angle of an oblique picture below the horizon, degrees."""
     field_of_view: float = 68.0
     """Degrees across."""
     nadir_height: float = 2.4
@@ -47,6 +53,9 @@ class SurveyConfig:
 
     def __post_init__(self) -> None:
         check_between("survey.images", self.images, 8, 2000)
+        check_between("survey.oblique_share", self.oblique_share, 0.0, 1.0)
+        check_between("survey.flattest", self.flattest, 10.0, 80.0)
+        check_between("survey.steepest", self.steepest, self.flattest, 85.0)
         check_between("survey.field_of_view", self.field_of_view, 30.0, 100.0)
         check_between("survey.nadir_height", self.nadir_height, 1.0, 6.0)
         check_between("survey.oblique_height", self.oblique_height, 0.9, 6.0)
@@ -59,7 +68,7 @@ class SurveyConfig:
 
 def survey_rig(config: SurveyConfig, rng: np.random.Generator) -> Rig:
     """The survey's cameras, and where the drone believed them to be."""
-    down = config.images // 2
+    down = config.images - round(config.oblique_share * config.images)
     poses = _nadir(config, down, rng) + _oblique(config, config.images - down, rng)
     kinds = ("nadir",) * down + ("oblique",) * (config.images - down)
     focal = 0.5 * WIDTH / math.tan(math.radians(config.field_of_view) / 2)
@@ -101,13 +110,13 @@ def _nadir(config: SurveyConfig, count: int, rng: np.random.Generator) -> list[C
 
 
 def _oblique(config: SurveyConfig, count: int, rng: np.random.Generator) -> list[CameraPose]:
-    """Pictures 35 to 60 degrees below the horizon, from places all over the town, headings spread evenly."""
+    """Pictures of places all over the town, headings spread evenly."""
     x0, y0, x1, y1 = AREA
     poses = []
     for number in range(count):
         heading = 2 * math.pi * (number * 0.618034 % 1.0)
         height = config.oblique_height * rng.uniform(0.85, 1.15)
-        reach = height / math.tan(math.radians(rng.uniform(35.0, 60.0)))
+        reach = height / math.tan(math.radians(rng.uniform(config.flattest, config.steepest)))
         share = np.array([(number + 0.5) / count, (number * 0.7548777) % 1.0])
         target = np.array([x0, y0]) + share[::-1] * np.array([x1 - x0, y1 - y0])
         eye = target - reach * np.array([math.cos(heading), math.sin(heading)])

@@ -46,7 +46,24 @@ def test_a_policy_that_never_steers_is_put_back_again_and_again():
 
 def test_what_is_touched_counts_once_a_moment():
     hits = iter([False] * 10 + [True] * 3 + [False] * 10_000)
-    assert run(expert_policy(CIRCLE, PURSUIT), touches=lambda corners: next(hits)).interventions == 3
+    result = run(expert_policy(CIRCLE, PURSUIT), touches=lambda corners: next(hits))
+    assert result.interventions == 3
+    assert result.put_back_at.tolist() == [10, 11, 12] and result.unbroken == 11
+
+
+def test_the_motion_up_to_the_first_intervention_is_one_that_a_car_can_make():
+    result = run(lambda picture, state: 0.0, motion_ticks=2)
+    pace = np.linalg.norm(np.diff(result.motion[:, 1:3], axis=0), axis=1)
+    whole = 2 * result.unbroken
+    assert pace[:whole].max() < 0.0401, "0.8 m/s for 0.05 s"
+    assert pace[whole] > 0.1, "lifted and put back"
+    assert 0 < result.unbroken < len(result.lateral)
+
+
+def test_nobody_intervenes_where_no_error_is_too_large():
+    result = run(lambda picture, state: 0.0, intervention=math.inf)
+    assert result.interventions == 0 and result.unbroken == len(result.lateral)
+    assert result.lateral.max() > 1.0
 
 
 def test_an_open_path_is_driven_to_its_end():

@@ -12,7 +12,14 @@ from aerial2ground.stages import load_survey
 
 def driven(lateral: float, degrees: float, interventions: int) -> Drive:
     places = np.zeros((interventions, 2))
-    return Drive(np.full(5, lateral), np.radians(np.full(5, degrees)), np.zeros((5, 2)), np.zeros((21, 4)), places)
+    return Drive(
+        np.full(5, lateral),
+        np.radians(np.full(5, degrees)),
+        np.zeros((5, 2)),
+        np.zeros((21, 4)),
+        places,
+        np.arange(len(places)),
+    )
 
 
 def trial(method: str, seed: int, path=None) -> Trial:

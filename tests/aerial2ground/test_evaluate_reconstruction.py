@@ -79,6 +79,6 @@ def test_a_run_is_measured_into_its_folder(tiny_run, monkeypatch):
     monkeypatch.setattr(module, "ALIGN_STEPS", 2)
     results = evaluate_run(tiny_run)
     assert json.loads((tiny_run.folder / "reconstruction.json").read_text()) == results
-    assert results["test_pictures"] == 2 and results["aerial_psnr_db"] > 10
+    assert results["test_pictures"] == 3 and results["aerial_psnr_db"] > 10
     assert results["poses"]["told_m"] > 0 and results["ground"]["road_psnr_db"] > 5
     assert Image.open(tiny_run.folder / "ground_views.png").size == (3 * 32, 3 * 36)

@@ -48,8 +48,8 @@ def test_training_learns_and_corrects_poses(tiny_run):
     fresh = new_nerf(tiny_run, survey.data.scene_box, len(survey.train))
 
     def error(one) -> float:
-        seen = one.view(survey.test.cameras, 0).rgb
-        return float((seen - survey.test.images[0].view(-1, 3).float() / 255).square().mean())
+        seen = torch.stack([one.view(survey.test.cameras, row).rgb for row in range(len(survey.test))])
+        return float((seen - survey.test.images.view(*seen.shape).float() / 255).square().mean())
 
     assert error(nerf) < 0.6 * error(fresh)
     assert nerf.corrections.translation.abs().max() > 0 and cost["seconds"] > 0

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
 from aerial2ground.evaluation_stages import run_driving
 from aerial2ground.ground_views import load_views
@@ -44,9 +45,14 @@ def test_ground_views_have_poses_and_labels(tiny_run):
 
 def test_every_road_is_seen_and_a_shifted_one_is_not(tiny_run):
     survey = load_survey(tiny_run)
-    assert unseen_road(survey.train.cameras, survey.network) < 0.05
+    box = survey.data.scene_box
+    assert unseen_road(survey.train.cameras, survey.network, box) < 0.05
     away = replace(survey.network, lines=tuple(line + 100 for line in survey.network.lines))
-    assert unseen_road(survey.train.cameras, away) == 1.0
+    assert unseen_road(survey.train.cameras, away, box) == 1.0
+    # oblique pictures show the horizon, and so whatever lies there
+    assert unseen_road(survey.train.cameras, away, box + torch.tensor([100.0, 100.0, 0.0])) < 1.0
+    below = replace(survey.network, height=-50.0)
+    assert unseen_road(survey.train.cameras, below, box) < 0.05, "its height is the network's own affair"
 
 
 def far_away(document):
@@ -96,7 +102,7 @@ def test_plain_photographs_with_roads_in_a_file_of_their_own(edited, tiny_run, t
     assert [row for row, frame in enumerate(survey.data.frames) if frame.split == "test"] == [0, 8, 16]
     assert survey.data.scene_box.tolist() == [[-9, -9, -1], [9, 9, 2]]
     with pytest.raises(UserError, match="no camera sees it"):
-        load_survey(replace(config, scene_box=(900.0, 900.0, 0.0, 901.0, 901.0, 1.0)))
+        load_survey(replace(config, scene_box=(0.0, 0.0, 900.0, 1.0, 1.0, 901.0)))
 
 
 def test_splits_of_the_data_set_stay(tiny_run):

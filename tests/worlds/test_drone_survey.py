@@ -14,14 +14,22 @@ def rig(seed=0, **settings):
     return survey_rig(SurveyConfig(**settings), np.random.default_rng(seed))
 
 
-def test_half_look_down_and_all_look_at_the_ground():
+def test_three_in_ten_look_down_and_all_look_at_the_ground():
     survey = rig()
-    assert survey.kinds == ("nadir",) * 50 + ("oblique",) * 50
+    assert survey.kinds == ("nadir",) * 30 + ("oblique",) * 70
     down = -survey.cameras.pose[:, 2, 2]
-    assert (down[:50] < -0.99).all()
-    pitch = torch.rad2deg(torch.asin(-down[50:]))
-    assert (pitch > 34).all() and (pitch < 61).all()
-    assert survey.splits.count("test") == 12 and survey.splits.count("train") == 88
+    assert (down[:30] < -0.99).all()
+    pitch = torch.rad2deg(torch.asin(-down[30:]))
+    assert (pitch > 14.9).all() and (pitch < 45.1).all() and pitch.max() - pitch.min() > 25
+    assert survey.splits.count("test") == 13 and survey.splits.count("train") == 87
+
+
+def test_how_many_are_oblique_and_how_steep_can_be_chosen():
+    survey = rig(images=40, oblique_share=0.5, flattest=40.0, steepest=45.0)
+    assert survey.kinds == ("nadir",) * 20 + ("oblique",) * 20
+    pitch = torch.rad2deg(torch.asin(survey.cameras.pose[20:, 2, 2]))
+    assert (pitch > 39.9).all() and (pitch < 45.1).all()
+    assert set(rig(oblique_share=0.0).kinds) == {"nadir"} and set(rig(oblique_share=1.0).kinds) == {"oblique"}
 
 
 def test_every_piece_of_road_is_in_many_pictures():
@@ -57,11 +65,22 @@ def test_places_follow_the_seed_and_stay_near_the_town():
     assert torch.equal(rig(4).cameras.pose, rig(4).cameras.pose)
     assert not torch.equal(rig(4).cameras.pose, rig(5).cameras.pose)
     position = rig().cameras.pose[:, :3, 3]
-    assert (position[:50, 0] > AREA[0]).all() and (position[:50, 0] < AREA[2]).all()
+    assert (position[:30, 0] > AREA[0]).all() and (position[:30, 0] < AREA[2]).all()
     assert (position[:, 2] > 0.9).all() and (position[:, :2].abs() < 10).all()
 
 
-@pytest.mark.parametrize("settings", [{"images": 4}, {"field_of_view": 170.0}, {"angle_noise": -1.0}, {"k1": 1.0}])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"images": 4},
+        {"field_of_view": 170.0},
+        {"angle_noise": -1.0},
+        {"k1": 1.0},
+        {"oblique_share": 1.1},
+        {"flattest": 5.0},
+        {"flattest": 40.0, "steepest": 30.0},
+    ],
+)
 def test_settings_out_of_range_are_refused(settings):
     with pytest.raises(UserError, match="survey"):
         SurveyConfig(**settings)
