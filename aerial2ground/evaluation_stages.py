@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from aerial2ground.config import AerialConfig
-from aerial2ground.evaluate_driving import EXPERT, Trial, drive_in, drive_trials, save_drives, table_two
+from aerial2ground.evaluate_driving import EXPERT, Trial, drive_trials, save_drives, table_two
 from aerial2ground.imitation import METHODS, network_answer
 from aerial2ground.latency import latency_ms
 from aerial2ground.learning_stages import (
@@ -21,13 +21,13 @@ from aerial2ground.learning_stages import (
     methods_of,
     origin_of,
     policy_folder,
+    teleoperate,
     town_of,
 )
 from aerial2ground.localisation import load_localiser, pose_distances, pose_rmse
 from aerial2ground.networks import PictureNetwork
 from aerial2ground.pose_tracker import filtered_poses
 from aerial2ground.stages import load_driven_survey
-from aerial2ground.teleoperation import Teleoperator
 from hashnerf.command_line import usable_cores
 from hashnerf.transforms_json import write_atomically
 from hashnerf.worker_processes import map_in_processes
@@ -66,7 +66,7 @@ def save_latency(config: AerialConfig, network: PictureNetwork) -> None:
 
 @dataclass(frozen=True)
 class TestDrive:
-    """One lap of a person who is to be located."""
+    """One lap of a person who is to be located; it ends where the car touches something and is lifted."""
 
     trajectory: str
     pictures: UInt8[Tensor, "n h w c"]
@@ -89,11 +89,12 @@ class _Tester:
         def drive_once(name: str) -> TestDrive:
             seed, path = config.seed + TESTING, survey.trajectories[name]
             rng = np.random.default_rng([seed, 4])
-            person = Teleoperator(path, config.pure_pursuit, config.teleoperation, config.drive.tick, rng)
-            drive = drive_in(config, town, origin_of(survey), person, path, seed, 1)
-            readings = measure(drive.motion[:, 0], drive.motion[:, 1:], config.inertial, rng)
-            times = config.drive.tick * np.arange(len(person.poses))
-            return TestDrive(name, torch.from_numpy(np.stack(person.pictures)), times, np.stack(person.poses), readings)
+            person, drive = teleoperate(config, town, survey, path, seed, 1, rng)
+            # a car that was lifted has moved as no inertial sensor can tell
+            moments, motions = drive.unbroken, drive.unbroken * config.drive.motion_ticks + 1
+            readings = measure(drive.motion[:motions, 0], drive.motion[:motions, 1:], config.inertial, rng)
+            pictures, poses = np.stack(person.pictures[:moments]), np.stack(person.poses[:moments])
+            return TestDrive(name, torch.from_numpy(pictures), config.drive.tick * np.arange(moments), poses, readings)
 
         return drive_once
 
@@ -115,12 +116,12 @@ def run_localisation(config: AerialConfig) -> dict:
     for method in methods_of(config, LOCALISERS):
         for seed in range(config.seeds):
             localiser = load_localiser(localiser_folder(config, method, seed), config.localisation.task.network)
-            poses = [localiser(drive.pictures) for drive in drives]
-            found.setdefault(method, []).append(poses)
+            told = [localiser.estimates(drive.pictures) for drive in drives]
+            found.setdefault(method, []).append([one.poses for one in told])
             if method == "ours":
                 fused = [
-                    filtered_poses(drive.readings, drive.times, told, config.pose_filter)
-                    for drive, told in zip(drives, poses)
+                    filtered_poses(drive.readings, drive.times, one.poses, config.pose_filter, one.deviations)
+                    for drive, one in zip(drives, told)
                 ]
                 found.setdefault("ours_imu", []).append(fused)
     truth = [drive.poses for drive in drives]

@@ -5,6 +5,7 @@ A network that is there is not trained again; where the data set has no embedded
 only `ours` is trained.
 """
 
+import math
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +17,7 @@ from torch import Tensor
 
 from aerial2ground.config import AerialConfig, from_drives
 from aerial2ground.depth_channel import depth_of
+from aerial2ground.driving import Drive
 from aerial2ground.evaluate_driving import drive_in
 from aerial2ground.ground_poses import GroundPoses
 from aerial2ground.ground_views import (
@@ -84,7 +86,8 @@ class _Collector:
 
         def collect(name: str) -> None:
             path = survey.trajectories[name]
-            person = teleoperate(self.config, town, survey, path, self.config.seed + COLLECTING)
+            seed, laps = self.config.seed + COLLECTING, self.config.teleoperation.laps
+            person, _ = teleoperate(self.config, town, survey, path, seed, laps, np.random.default_rng([seed, 3]))
             car = GroundPoses(
                 np.stack(person.poses) + origin,
                 np.zeros((len(person.poses), 2)),
@@ -101,13 +104,16 @@ class _Collector:
         return collect
 
 
-def teleoperate(config: AerialConfig, town: World, survey: Survey, path: Path, seed: int) -> Teleoperator:
-    """A person drives `teleoperation.laps` laps; returns what was seen."""
-    person = Teleoperator(
-        path, config.pure_pursuit, config.teleoperation, config.drive.tick, np.random.default_rng([seed, 3])
-    )
-    drive_in(config, town, origin_of(survey), person, path, seed, config.teleoperation.laps)
-    return person
+def teleoperate(
+    config: AerialConfig, town: World, survey: Survey, path: Path, seed: int, laps: int, rng: np.random.Generator
+) -> tuple[Teleoperator, Drive]:
+    """A person drives some laps; returns what was seen, and the drive.
+
+    Who drives by hand and strays steers back: nobody lifts the car, unless it has touched something.
+    """
+    config = replace(config, drive=replace(config.drive, intervention=math.inf))
+    person = Teleoperator(path, config.pure_pursuit, config.teleoperation, config.drive.tick, rng)
+    return person, drive_in(config, town, origin_of(survey), person, path, seed, laps)
 
 
 def pictures_of(config: AerialConfig, method: str, trajectory: str) -> list[GroundViews]:
@@ -197,7 +203,8 @@ class _LocaliserTrainer:
             views = [part for name in survey.trajectories for part in pictures_of(self.config, method, name)]
             number = self.config.seed * 101 + seed
             pictures, poses = [seen(self.config, part, task.network) for part in views], [part.poses for part in views]
-            save_localiser(folder, train_localiser(pictures, poses, task, number, [part.sky for part in views]))
+            skies, loss = [part.sky for part in views], self.config.localisation.loss
+            save_localiser(folder, train_localiser(pictures, poses, task, number, skies, loss))
 
         return train
 

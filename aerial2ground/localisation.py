@@ -1,14 +1,19 @@
-"""Where is the car? The paper's network tells position and yaw from one picture (III-D; L2, yaw as sine and cosine)."""
+"""Where is the car? The paper's network tells position and yaw from one picture (III-D; L2, yaw as sine and cosine).
+
+With `laplace` in place of L2 it also tells how sure it is of either.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from aerial2ground.losses import LossName, deviations
 from aerial2ground.networks import NetworkConfig, PictureNetwork
 from aerial2ground.policy_training import TaskConfig, as_input, train_network
 from hashnerf.checkpoints import load_checkpoint, load_module_state, module_tensors, save_checkpoint
@@ -23,22 +28,43 @@ class LocalisationConfig:
 
     task: TaskConfig = field(default_factory=TaskConfig)
     """Network and training."""
+    loss: Literal["l2", "laplace"] = "l2"
+    """Squared error (paper), or `laplace`: the network also tells how sure it is."""
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """What a network makes of pictures."""
+
+    poses: Float[np.ndarray, "n 3"]
+    """(x, y, yaw), metres and radians."""
+    deviations: Float[np.ndarray, "n 2"] | None
+    """Standard deviations that it tells, of x and of y (metres) and of yaw (radians); None where it tells none."""
 
 
 @dataclass(frozen=True)
 class Localiser:
-    """A network whose first two outputs are positions in units of `scale` metres from `centre`."""
+    """A network whose first two outputs are positions in units of `scale` metres from `centre`, then sine and cosine.
+
+    A fifth and sixth output say how sure it is of the position and of the yaw.
+    """
 
     network: PictureNetwork
     centre: Float[np.ndarray, " 2"]
     scale: float
 
     @torch.no_grad()
-    def __call__(self, pictures: UInt8[Tensor, "n h w c"]) -> Float[np.ndarray, "n 3"]:
-        """Returns (x, y, yaw) of each picture, metres and radians; depth that the network does not read is left out."""
+    def estimates(self, pictures: UInt8[Tensor, "n h w c"]) -> Estimates:
+        """Returns what the network makes of each picture; depth that it does not read is left out."""
         parts = [self.network(as_input(part)) for part in pictures[..., : self.network.channels].split(AT_ONCE)]
-        out = torch.cat(parts).double().numpy()
-        return np.column_stack([out[:, :2] * self.scale + self.centre, np.arctan2(out[:, 2], out[:, 3])])
+        out = torch.cat(parts).double()
+        place, yaw = out[:, :2].numpy() * self.scale + self.centre, torch.atan2(out[:, 2], out[:, 3]).numpy()
+        told = deviations(out[:, 4:]).numpy() * [self.scale, 1.0] if out.shape[1] > 4 else None
+        return Estimates(np.column_stack([place, yaw]), told)
+
+    def __call__(self, pictures: UInt8[Tensor, "n h w c"]) -> Float[np.ndarray, "n 3"]:
+        """Returns (x, y, yaw) of each picture, metres and radians."""
+        return self.estimates(pictures).poses
 
 
 def train_localiser(
@@ -47,6 +73,7 @@ def train_localiser(
     config: TaskConfig,
     seed: int,
     skies: Sequence[Bool[Tensor, "_ h w"]] | None = None,
+    loss: LossName = "l2",
 ) -> Localiser:
     """Trains on one or several sets of pictures and the poses (x, y, yaw) of the car that took them.
 
@@ -58,13 +85,13 @@ def train_localiser(
     columns = [(place[:, :2] - centre) / scale, np.sin(place[:, 2:]), np.cos(place[:, 2:])]
     targets = torch.from_numpy(np.concatenate(columns, axis=1)).float()
     sky = None if skies is None else torch.cat(list(skies))
-    return Localiser(train_network(config, torch.cat(list(pictures)), targets, "l2", seed, sky), centre, scale)
+    return Localiser(train_network(config, torch.cat(list(pictures)), targets, loss, seed, sky), centre, scale)
 
 
 def save_localiser(folder: Path, localiser: Localiser) -> None:
     """Saves the network with the units of its outputs."""
     network = localiser.network
-    about = {"height": network.height, "width": network.width}
+    about = {"height": network.height, "width": network.width, "outputs": network.head[-1].out_features}
     about |= {"centre": localiser.centre.tolist(), "scale": localiser.scale}
     save_checkpoint(folder, 0, module_tensors(network, "network"), about, keep=1)
 
@@ -74,7 +101,7 @@ def load_localiser(folder: Path, config: NetworkConfig) -> Localiser:
     if not folder.is_dir():
         raise UserError(f"{folder}: no trained network here; run scripts/train_localizer.py first")
     _, tensors, about = load_checkpoint(folder)
-    network = PictureNetwork(config, about["height"], about["width"], 4)
+    network = PictureNetwork(config, about["height"], about["width"], about["outputs"])
     load_module_state(network, tensors, "network")
     return Localiser(network.eval(), np.array(about["centre"]), about["scale"])
 

@@ -138,7 +138,9 @@ class Trainer:
         task = self.config.localisation.task
         task = replace(task, network=replace(task.network, filters=case.filters, depth=False))
         own = self.learn[case.source].thinned(case.views)
-        localiser = train_localiser(own.pictures, own.poses, task, self.config.seed, own.sky)
+        localiser = train_localiser(
+            own.pictures, own.poses, task, self.config.seed, own.sky, self.config.localisation.loss
+        )
         other = self.elsewhere[case.source]
         own_m, own_deg = pose_distances(localiser(torch.cat(other.pictures)), np.concatenate(other.poses))
         pictures = torch.cat([drive.pictures for drive in self.drives])

@@ -1,4 +1,4 @@
-"""Training the two networks (Alg. 2): steering by L1, pose by L2; Adam 1e-2, 100 epochs.
+"""Training the two networks (Alg. 2): steering by L1, pose by L2 or Laplace; Adam 1e-2, 100 epochs.
 
 Pictures are augmented against what differs between the reconstruction and the world: exposure, white balance, shadows,
 noise, and the sky, which no drone sees. Poses are standardised by the training set; yaw is told as sine and cosine.
@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from aerial2ground.losses import LossName, answers_of, loss_of
 from aerial2ground.networks import NetworkConfig, PictureNetwork
 from hashnerf.errors import UserError
 
@@ -106,23 +107,23 @@ def train_network(
     config: TaskConfig,
     pictures: UInt8[Tensor, "n h w c"],
     targets: Float[Tensor, "n outputs"],
-    loss: str,
+    loss: LossName,
     seed: int,
     sky: Bool[Tensor, "n h w"] | None = None,
 ) -> PictureNetwork:
-    """Trains a network on pictures (0..255, a fourth channel is depth) and targets; `loss` is `l1` or `l2`.
+    """Trains a network on pictures (0..255, a fourth channel is depth) and targets.
 
     `sky` says where nothing is in the pictures, as far as that is known.
     """
     if len(pictures) < 2:
         raise UserError(f"{len(pictures)} training pictures are too few: batch normalisation needs two or more")
     torch.manual_seed(seed)
-    network = PictureNetwork(config.network, pictures.shape[1], pictures.shape[2], targets.shape[1])
+    network = PictureNetwork(config.network, pictures.shape[1], pictures.shape[2], answers_of(loss, targets.shape[1]))
     network.to(memory_format=torch.channels_last)
     generator = torch.Generator().manual_seed(seed)
     optimizer = torch.optim.Adam(network.parameters(), lr=config.lr)
     batches = max(len(pictures) // config.batch_size, 1)
-    error = torch.nn.functional.l1_loss if loss == "l1" else torch.nn.functional.mse_loss
+    error = loss_of(loss)
     steps = config.epochs * batches
     for epoch in range(config.epochs):
         order = torch.randperm(len(pictures), generator=generator)

@@ -23,6 +23,8 @@ LARGEST_YAW_RATE, LARGEST_ACCELERATION = 35.0, 160.0
 """No sensor of this kind reads more (2000 degrees per second, 16 g); yaw rates in degrees do."""
 LARGEST_DEVIATION = np.array([100.0, 100.0, math.pi, 10.0, 1.0, 10.0])
 """Standard deviations beyond which the state is not known at all."""
+SMALLEST = 1e-6
+"""Metres or radians: no network is surer than that."""
 STEP = 0.05
 """Longest time predicted at once, seconds."""
 MEASURED = np.eye(3, 6)
@@ -33,9 +35,9 @@ class PoseFilterConfig:
     """What the filter believes of its two sources and of the car."""
 
     position_std: float = 0.2
-    """Standard deviation of the network's x and of its y, metres."""
+    """Standard deviation of the network's x and of its y where it tells none, metres."""
     yaw_std: float = 8.0
-    """Standard deviation of the network's yaw, degrees."""
+    """Standard deviation of the network's yaw where it tells none, degrees."""
     correlation: float = 4.0
     """Successive pictures whose errors count as one; (1 + r) / (1 - r) where r correlates the errors of neighbours."""
     gyro_noise: float = 0.0002
@@ -63,7 +65,9 @@ class PoseFilterConfig:
     hypotheses: int = 4
     """Most ideas of where the car is that are followed at a time."""
     memory: float = 30.0
-    """Pictures over which it is remembered how often the network agreed with each of them."""
+    """Pictures over which it is remembered how well the network agreed with each of them."""
+    elsewhere: float = 30.0
+    """Square metres over which the network's errors are spread: an idea must explain a pose better than chance."""
     blind_turn: float = 1.0
     """Standard deviation of the yaw rate while there is no reading, rad/s."""
     blind_acceleration: float = 1.0
@@ -80,9 +84,9 @@ class PoseFilterConfig:
                 raise UserError(f"pose_filter.{field.name} is {value}; give 0 or a positive number")
         if not math.isfinite(self.first_speed):
             raise UserError(f"pose_filter.first_speed is {self.first_speed}; give a finite number")
-        for key in ("position_std", "yaw_std"):
-            if getattr(self, key) < 1e-6:
-                raise UserError(f"pose_filter.{key} is {getattr(self, key)}; give at least 1e-6")
+        for key in ("position_std", "yaw_std", "elsewhere"):
+            if getattr(self, key) < SMALLEST:
+                raise UserError(f"pose_filter.{key} is {getattr(self, key)}; give at least {SMALLEST}")
         for key in ("correlation", "doubt", "hypotheses", "memory"):
             if getattr(self, key) < 1:
                 raise UserError(f"pose_filter.{key} is {getattr(self, key)}; give at least 1")
@@ -155,26 +159,48 @@ class PoseFilter:
         for _ in range(steps):
             self._step(self._last_turn, push, dt / steps, blind)
 
-    def update(self, pose: Float[np.ndarray, " 3"]) -> bool:
+    def update(self, pose: Float[np.ndarray, " 3"], deviation: Float[np.ndarray, " 2"] | None = None) -> bool:
         """Takes in the network's (x, y, yaw), metres and radians; returns whether it was used.
 
-        A pose that is not finite or beyond LARGEST_POSITION is refused, and so is one too far from where the car can be
-        (Mahalanobis distance).
+        `deviation` is the network's own standard deviation of x and of y (metres) and of yaw (radians). A pose that is
+        not finite or beyond LARGEST_POSITION is refused, one with a deviation that is no positive number too, and so is
+        one too far from where the car can be (Mahalanobis distance).
         """
-        if not (np.isfinite(pose).all() and np.abs(pose[:2]).max() <= LARGEST_POSITION):
+        if not sound_pose(pose, deviation):
             self.refused_poses += 1
             return False
+        noise = self._noise_of(deviation)
         if not self.started:
-            self._begin(pose)
+            self._begin(pose, noise)
             return True
         off = _difference(pose, self._filter.x[:3])
-        if off @ np.linalg.solve(self._filter.P[:3, :3] + self._noise, off) > self._limit:
+        if off @ np.linalg.solve(self._filter.P[:3, :3] + noise, off) > self._limit:
             self.refused_poses += 1
             return False
-        noise = self._noise * self.config.correlation
+        noise = noise * self.config.correlation
         self._filter.update(pose, lambda x: MEASURED, lambda x: x[:3], R=noise, residual=_difference)
         self._tidy()
         return True
+
+    def evidence(self, pose: Float[np.ndarray, " 3"], deviation: Float[np.ndarray, " 2"] | None = None) -> float:
+        """Returns how much a pose of the network speaks for where this filter is: 0 or more, 0 before it started.
+
+        The logarithm of its density here over that of an error, which may lie anywhere within `elsewhere` and turn any
+        way; what errors explain better says nothing. A sure network that agrees says more than an unsure one.
+        """
+        if not self.started or not sound_pose(pose, deviation):
+            return 0.0
+        off = _difference(pose, self._filter.x[:3])
+        covariance = self._filter.P[:3, :3] + self._noise_of(deviation)
+        here = -0.5 * float(off @ np.linalg.solve(covariance, off) + np.linalg.slogdet(2 * math.pi * covariance)[1])
+        return max(here + math.log(self.config.elsewhere * 2 * math.pi), 0.0)
+
+    def _noise_of(self, deviation: np.ndarray | None) -> Float[np.ndarray, "3 3"]:
+        """Covariance of a pose of the network."""
+        if deviation is None:
+            return self._noise
+        place, yaw = np.clip(deviation, SMALLEST, LARGEST_DEVIATION[[0, 2]])
+        return np.diag([place, place, yaw]) ** 2
 
     def _step(self, yaw_rate: float, acceleration: float, dt: float, blind: bool) -> None:
         c = self.config
@@ -197,12 +223,12 @@ class PoseFilter:
         shrink = LARGEST_DEVIATION / np.maximum(np.sqrt(np.diag(covariance)), LARGEST_DEVIATION)
         self._filter.P = covariance * np.outer(shrink, shrink)
 
-    def _begin(self, pose: np.ndarray) -> None:
+    def _begin(self, pose: np.ndarray, noise: np.ndarray) -> None:
         """Stands at the pose, in doubt of it; speed and biases stay, known no better than at first."""
         self._filter.x[:2] = pose[:2]
         self._filter.x[2] = wrap_angle(float(pose[2]))
         rest = np.maximum(np.diag(self._filter.P)[3:], self._first)
-        self._filter.P = np.diag(np.concatenate([self.config.doubt**2 * np.diag(self._noise), rest]))
+        self._filter.P = np.diag(np.concatenate([self.config.doubt**2 * np.diag(noise), rest]))
         self.started, self._blind = True, 0.0
 
     def _lose(self) -> None:
@@ -217,6 +243,13 @@ class _Motion(ExtendedKalmanFilter):
     def predict_x(self, u: Float[np.ndarray, " 3"]) -> None:
         """Moves the state by u = (yaw rate, acceleration, seconds)."""
         self.x = moved(self.x, float(u[0]), float(u[1]), float(u[2]))
+
+
+def sound_pose(pose: Float[np.ndarray, " 3"], deviation: Float[np.ndarray, " 2"] | None) -> bool:
+    """Whether a pose of the network can be used at all."""
+    if deviation is not None and not (np.isfinite(deviation).all() and (deviation > 0).all()):
+        return False
+    return bool(np.isfinite(pose).all() and np.abs(pose[:2]).max() <= LARGEST_POSITION)
 
 
 def moved(state: Float[np.ndarray, " 6"], yaw_rate: float, acceleration: float, dt: float) -> Float[np.ndarray, " 6"]:

@@ -18,7 +18,7 @@ from worlds.inertial import Readings
 
 @dataclass
 class Hypothesis:
-    """One idea, and how much the network has agreed with it of late."""
+    """One idea, and how much the network has spoken for it of late."""
 
     filter: PoseFilter
     agreement: float
@@ -49,16 +49,20 @@ class PoseTracker:
             one.filter.predict(yaw_rate, acceleration, dt)
         self.hypotheses = [one for one in self.hypotheses if one.filter.started]
 
-    def update(self, pose: Float[np.ndarray, " 3"]) -> bool:
-        """Takes in the network's pose; returns whether any idea could use it. What none can use begins a new one."""
+    def update(self, pose: Float[np.ndarray, " 3"], deviation: Float[np.ndarray, " 2"] | None = None) -> bool:
+        """Takes in the network's pose, see `PoseFilter.update`; returns whether any idea could use it.
+
+        What none can use begins a new one.
+        """
         used = False
         for one in self.hypotheses:
-            agreed = one.filter.update(pose)
-            one.agreement = one.agreement * (1 - 1 / self.config.memory) + agreed
+            said = one.filter.evidence(pose, deviation)
+            agreed = one.filter.update(pose, deviation)
+            one.agreement = one.agreement * (1 - 1 / self.config.memory) + (said if agreed else 0.0)
             used |= agreed
         if not used:
-            fresh = Hypothesis(PoseFilter(self.config), 1.0)
-            if fresh.filter.update(pose):
+            fresh = Hypothesis(PoseFilter(self.config), 0.0)
+            if fresh.filter.update(pose, deviation):
                 self.hypotheses.append(fresh)
         self._prune()
         return used
@@ -81,9 +85,11 @@ def filtered_poses(
     picture_times: Float[np.ndarray, " k"],
     picture_poses: Float[np.ndarray, "k 3"],
     config: PoseFilterConfig,
+    deviations: Float[np.ndarray, "k 2"] | None = None,
 ) -> Float[np.ndarray, "k 3"]:
     """Returns the pose at every picture from all readings and network poses up to it, none later.
 
+    `deviations` are the network's own, see `PoseFilter.update`.
     Rows are NaN while the pose is not known: until the network's first finite pose. Raises ValueError for times that
     are not finite or fall; pictures may share a time, readings may not.
     """
@@ -107,7 +113,7 @@ def filtered_poses(
             push = float(readings.acceleration[following - 1, 0]) if fresh else math.nan
             fused.predict(rate, push, float(moment) - clock)
             clock = float(moment)
-        fused.update(picture_poses[picture])
+        fused.update(picture_poses[picture], None if deviations is None else deviations[picture])
         if fused.started:
             filtered[picture] = fused.pose
     return filtered

@@ -4,12 +4,15 @@ import json
 import math
 import shutil
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from aerial2ground.deployment import Deployment
 from aerial2ground.evaluation_stages import run_driving, run_localisation, table_row
+from aerial2ground.evaluation_stages import test_drives as laps_to_locate
 from aerial2ground.exported_policy import load_exported
 from aerial2ground.learning_stages import policy_folder, run_drives, run_localisers, run_policies
 from aerial2ground.networks import NetworkConfig
@@ -46,6 +49,19 @@ def test_table_one_of_baseline_ours_and_fused(tiny_run):
     assert sum(len(track["truth"]) for track in saved["tracks"]) == saved["test_pictures"]
     again = run_localisation(tiny_run)
     assert again == table, "the same drives every time"
+
+
+def test_a_lap_to_be_located_ends_where_the_car_is_lifted(tiny_run, monkeypatch):
+    whole = laps_to_locate(replace(tiny_run, workers=1))[0]
+    calls = count()
+    monkeypatch.setattr(Deployment, "touches", lambda self, corners: next(calls) == 20)
+    broken = laps_to_locate(replace(tiny_run, workers=1))[0]
+    assert len(broken.pictures) == len(broken.poses) == len(broken.times) == 21 < len(whole.poses)
+    assert broken.readings.time[-1] == pytest.approx(2.1)
+    # a person's car neither jumps nor turns on the spot, though it strays further than a policy may
+    for drive in (whole, broken):
+        assert np.abs(drive.readings.yaw_rate).max() < 3
+        assert np.linalg.norm(np.diff(drive.poses[:, :2], axis=0), axis=1).max() < 0.09
 
 
 def test_rows_are_means_over_seeds_of_all_pictures_together():

@@ -116,6 +116,53 @@ def test_yaw_differences_are_wrapped():
     assert abs(wrap_angle(float(tried.pose[2]) - math.pi)) < 0.01
 
 
+def test_a_network_that_says_how_sure_it_is_is_weighed_by_that():
+    tried = PoseFilter(config(**QUIET, correlation=1.0, first_speed_std=0.0, doubt=1.0))
+    assert tried.update(np.zeros(3), np.array([0.3, 0.1]))
+    # nine times the information: nine tenths of the way
+    assert tried.update(np.array([0.1, 0.0, 0.02]), np.array([0.1, 0.1]))
+    assert tried.pose == pytest.approx([0.09, 0.0, 0.01])
+    assert np.diag(tried.covariance)[:3] == pytest.approx([0.009, 0.009, 0.005])
+    # an unsure pose is let through where a sure one is refused
+    far = np.array([1.0, 0.0, 0.0])
+    assert not tried.update(far, np.array([0.1, 0.1])) and tried.update(far, np.array([2.0, 0.1]))
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -1.0, 0.0])
+@pytest.mark.parametrize("row", [0, 1])
+def test_deviations_that_are_none_are_refused_with_their_pose(bad, row):
+    tried, deviation = running(), np.full(2, 0.1)
+    deviation[row] = bad
+    before, covariance = tried.state, tried.covariance
+    assert not tried.update(before[:3], deviation) and tried.refused_poses == 1
+    assert tried.evidence(before[:3], deviation) == 0.0
+    assert np.array_equal(tried.state, before) and np.array_equal(tried.covariance, covariance)
+
+
+@pytest.mark.parametrize("deviation", [1e-300, 1e-9, 1e9, 1e300])
+def test_no_deviation_is_too_small_or_too_large(deviation):
+    tried = running()
+    for tick in range(31, 60):
+        tried.predict(0.0, 0.0, 0.1)
+        tried.update(np.array([SPEED * tick / 10, 0.0, 0.0]), np.full(2, deviation))
+        assert np.isfinite(tried.evidence(tried.pose, np.full(2, deviation)))
+    assert np.isfinite(tried.covariance).all() and np.linalg.eigvalsh(tried.covariance).min() > -1e-12
+    assert tried.pose == pytest.approx([SPEED * 5.9, 0.0, 0.0], abs=0.05)
+
+
+def test_evidence_by_hand():
+    tried = PoseFilter(config(doubt=1.0, elsewhere=20.0))
+    assert tried.evidence(np.zeros(3), np.array([0.1, 0.2])) == 0.0, "not started"
+    tried.update(np.zeros(3), np.array([0.1, 0.2]))
+    # here and in the picture a variance of 0.01 each: 0.02, and 0.08 of yaw; no distance
+    density = 1 / ((2 * math.pi) ** 1.5 * 0.02 * math.sqrt(0.08))
+    assert tried.evidence(np.zeros(3), np.array([0.1, 0.2])) == pytest.approx(math.log(density * 20 * 2 * math.pi))
+    aside = tried.evidence(np.array([0.2, 0.0, 0.0]), np.array([0.1, 0.2]))
+    assert aside == pytest.approx(math.log(density * 20 * 2 * math.pi) - 0.2**2 / 0.02 / 2)
+    assert tried.evidence(np.array([3.0, 0.0, 0.0]), np.array([0.1, 0.2])) == 0.0, "chance explains it better"
+    assert tried.evidence(np.zeros(3), np.array([50.0, 3.0])) == 0.0, "a network that is not sure says nothing"
+
+
 def test_one_outlier_moves_nothing():
     tried = running()
     before, covariance = tried.state, tried.covariance

@@ -49,6 +49,20 @@ def test_a_long_burst_of_scattered_errors_moves_nothing():
     assert len(tracker.hypotheses) == CONFIG.hypotheses
 
 
+def test_few_sure_pictures_outweigh_many_unsure_ones():
+    tracker = PoseTracker(CONFIG)
+    for tick in range(12):
+        tracker.predict(0.0, 0.0, 0.1)
+        tracker.update(along(tick, (3.0, 2.0)), np.array([0.6, 0.5]))
+    for tick in range(12, 17):
+        tracker.predict(0.0, 0.0, 0.1)
+        tracker.update(along(tick), np.array([0.08, 0.05]))
+    assert np.linalg.norm((tracker.pose - along(16))[:2]) < 0.1
+    constant = PoseTracker(CONFIG)
+    found = follow(constant, [along(tick, (3.0, 2.0)) for tick in range(12)] + [along(tick) for tick in range(12, 17)])
+    assert np.linalg.norm((found[-1] - along(16))[:2]) > 2.0, "all equally sure, twelve outweigh five"
+
+
 def test_a_car_carried_elsewhere_is_found_again():
     tracker = PoseTracker(CONFIG)
     follow(tracker, [along(tick) for tick in range(60)])
