@@ -26,9 +26,9 @@ class DisturbanceConfig:
     """Standard deviation of the camera's height, metres."""
     pitch: float = 1.0
     """Standard deviation of the camera's pitch, degrees."""
-    wrong_side: float = 0.1
-    """Share of poses on the other lane."""
-    near_accident: float = 0.1
+    wrong_side: float = 0.03
+    """Share of poses on the other lane. In a junction there is none: what such poses teach contradicts the others."""
+    near_accident: float = 0.03
     """Share of poses at the edge of the road, heading off it."""
     lane: float = 0.35
     """Width of a lane, metres."""

@@ -1,14 +1,14 @@
 """Training the two networks (Alg. 2): steering by L1, pose by L2 or Laplace; Adam 1e-2, 100 epochs.
 
 Pictures are augmented against what differs between the reconstruction and the world: exposure, white balance, shadows,
-noise, and the sky, which no drone sees. Poses are standardised by the training set; yaw is told as sine and cosine.
+noise, rows, and the sky, which no drone sees. Poses are standardised by the training set; yaw is sine and cosine.
 """
 
 import math
 from dataclasses import dataclass, field
 
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from aerial2ground.losses import LossName, answers_of, loss_of
@@ -30,11 +30,14 @@ class AugmentationConfig:
     """Largest standard deviation of pixel noise."""
     shadow: float = 0.3
     """Largest darkening of a random half of the picture, as a share."""
+    row_jitter: float = 0.15
+    """Share of the rows that show what the row above them shows: which lines of marks a small picture catches near the
+    horizon is a matter of a millimetre of height."""
     sky: bool = True
     """Give every picture another sky: a drone that looks down cannot know it."""
 
     def __post_init__(self):
-        for key in ("exposure", "white_balance", "gamma", "noise", "shadow"):
+        for key in ("exposure", "white_balance", "gamma", "noise", "shadow", "row_jitter"):
             if not 0 <= getattr(self, key) < 1:
                 raise UserError(f"augmentation.{key} is {getattr(self, key)}; give a number from 0 and below 1")
 
@@ -68,8 +71,12 @@ def augmented(
     generator: torch.Generator,
     sky: Bool[Tensor, "n h w"] | None = None,
 ) -> Float[Tensor, "n c h w"]:
-    """Returns changed pictures in [0, 1]; a depth channel stays as it is. `sky` says where nothing is."""
+    """Returns changed pictures in [0, 1]; of a depth channel only rows change. `sky` says where nothing is."""
     n, _, height, width = pictures.shape
+    if config.row_jitter:
+        rows = jittered_rows(n, height, config.row_jitter, generator)
+        pictures = pictures.gather(2, rows[:, None, :, None].expand(pictures.shape))
+        sky = None if sky is None else sky.gather(1, rows[:, :, None].expand(sky.shape))
     colour, rest = pictures[:, :3], pictures[:, 3:]
     if sky is not None and config.sky:
         colour = torch.where(sky[:, None], random_skies(n, height, generator)[..., None], colour)
@@ -89,6 +96,12 @@ def augmented(
     sigma = config.noise * torch.rand(n, 1, 1, 1, generator=generator)
     colour.addcmul_(sigma, torch.randn(colour.shape, generator=generator)).clamp_(0, 1)
     return torch.cat([colour, rest], dim=1) if rest.shape[1] else colour
+
+
+def jittered_rows(count: int, height: int, share: float, generator: torch.Generator) -> Int[Tensor, "count height"]:
+    """Returns which row each row of a picture shows: its own, or with probability `share` the one above."""
+    up = torch.rand(count, height, generator=generator) < share
+    return (torch.arange(height) - up.long()).clamp(min=0)
 
 
 def random_skies(count: int, height: int, generator: torch.Generator) -> Float[Tensor, "count 3 height"]:

@@ -22,7 +22,7 @@ from aerial2ground.policy_training import AugmentationConfig, TaskConfig
 from hashnerf.command_line import load_config
 from hashnerf.errors import UserError
 
-PLAIN = AugmentationConfig(0.0, 0.0, 0.0, 0.0, 0.0)
+PLAIN = AugmentationConfig(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 QUICK = TaskConfig(NetworkConfig(filters=4, layers=2, hidden=8), PLAIN, epochs=20, batch_size=32)
 BRIEF = TaskConfig(QUICK.network, PLAIN, epochs=2, batch_size=32)
 

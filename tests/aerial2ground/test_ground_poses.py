@@ -17,7 +17,7 @@ def draw(count=4000, seed=0, **changes):
 
 
 def test_most_poses_stray_as_asked_and_some_further():
-    car = draw()
+    car = draw(wrong_side=0.1, near_accident=0.1)
     left, turn = car.poses[:, 1], car.poses[:, 2]
     usual = np.abs(left) < 0.122
     assert np.median(np.abs(left)) < 0.1
@@ -25,6 +25,11 @@ def test_most_poses_stray_as_asked_and_some_further():
     assert 0.08 < (left > 0.25).mean() < 0.2 and other.any()
     assert np.degrees(turn[usual].std()) == pytest.approx(8.0, rel=0.15)
     assert car.tilt.std(axis=0) == pytest.approx([0.005, math.radians(1.0)], rel=0.05)
+
+
+def test_by_default_three_in_a_hundred_stand_on_the_other_lane():
+    car = draw(lateral=0.01, near_accident=0.0)
+    assert (car.poses[:, 1] > 0.25).sum() == 120
 
 
 def test_places_are_spread_evenly():

@@ -18,7 +18,7 @@ from aerial2ground.networks import NetworkConfig, PictureNetwork
 from aerial2ground.policy_training import AugmentationConfig, TaskConfig
 from hashnerf.errors import UserError
 
-PLAIN = AugmentationConfig(0.0, 0.0, 0.0, 0.0, 0.0)
+PLAIN = AugmentationConfig(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def test_errors_by_hand():

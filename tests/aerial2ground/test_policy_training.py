@@ -36,11 +36,29 @@ def test_training_repeats_with_the_seed():
 
 def test_augmentation_keeps_the_range_and_the_depth():
     pictures = torch.rand(16, 4, 20, 24, generator=torch.Generator().manual_seed(0))
-    changed = augmented(pictures, AugmentationConfig(), torch.Generator().manual_seed(1))
+    changed = augmented(pictures, AugmentationConfig(row_jitter=0.0), torch.Generator().manual_seed(1))
     assert (changed >= 0).all() and (changed <= 1).all()
     assert torch.equal(changed[:, 3:], pictures[:, 3:]) and not torch.allclose(changed[:, :3], pictures[:, :3])
-    off = AugmentationConfig(0.0, 0.0, 0.0, 0.0, 0.0)
+    off = AugmentationConfig(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     assert torch.allclose(augmented(pictures, off, torch.Generator()), pictures, atol=1e-4)
+
+
+def test_some_rows_show_what_the_row_above_shows_in_all_channels_and_in_the_sky():
+    height = 27
+    rows = torch.arange(height).float()[None, None, :, None]
+    pictures = (rows / height).expand(400, 4, height, 5).contiguous()
+    only = AugmentationConfig(0.0, 0.0, 0.0, 0.0, 0.0, 0.2, sky=False)
+    changed = augmented(pictures, only, torch.Generator().manual_seed(0))
+    assert torch.allclose(changed[:, :3], changed[:, 3:].expand(400, 3, height, 5), atol=1e-4), "colour and depth alike"
+    moved = pictures - changed
+    assert set((moved[:, 0, 1:] * height).round().unique().tolist()) == {0.0, 1.0} and not moved[:, 3, 0].any()
+    assert float((moved[:, 3, 1:, 0] > 0.01).float().mean()) == pytest.approx(0.2, abs=0.02)
+    # the sky's lower edge is where it went: no row below it gets another sky, none of it keeps the old one
+    sky = torch.zeros(400, height, 5, dtype=torch.bool)
+    sky[:, :10] = True
+    seen = augmented(pictures, AugmentationConfig(0.0, 0.0, 0.0, 0.0, 0.0, 0.2), torch.Generator().manual_seed(0), sky)
+    ground = changed[:, 3:] > 9.5 / height
+    assert torch.equal(torch.where(ground, seen[:, :3], 0.0), torch.where(ground, changed[:, :3], 0.0))
 
 
 def test_one_picture_is_too_few():
@@ -62,7 +80,7 @@ def test_bad_settings_are_named(build, key):
 
 
 def test_a_sky_changes_where_nothing_is_and_nowhere_else():
-    plain = AugmentationConfig(0.0, 0.0, 0.0, 0.0, 0.0)
+    plain = AugmentationConfig(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     pictures = torch.full((50, 4, 6, 8), 0.25)
     sky = torch.zeros(50, 6, 8, dtype=torch.bool)
     sky[:, :3] = True
@@ -72,5 +90,5 @@ def test_a_sky_changes_where_nothing_is_and_nowhere_else():
     assert (skies >= 0).all() and (skies <= 1).all()
     assert (skies[:, 2] >= skies[:, 0] - 1e-6).all(), "grey to blue"
     assert float(skies[:, 0].std()) > 0.1 and (skies[..., 0] == skies[..., 7]).all(), "one colour a row"
-    without = augmented(pictures, AugmentationConfig(0.0, 0.0, 0.0, 0.0, 0.0, sky=False), torch.Generator(), sky)
+    without = augmented(pictures, AugmentationConfig(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, sky=False), torch.Generator(), sky)
     assert (without == 0.25).all()
