@@ -112,11 +112,12 @@ def _footprint(cameras: Cameras, index: int, raster: Raster) -> tuple[int, int, 
 
 
 def track_ground(
-    pictures: UInt8[np.ndarray, "n h w 3"], cameras: Cameras, raster: Raster, corners: int, reach: int
+    pictures: UInt8[np.ndarray, "n h w 3"], cameras: Cameras, raster: Raster, corners: int, reach: Int[np.ndarray, " n"]
 ) -> Sightings:
     """Follows up to `corners` corners of every picture into all others that show them.
 
-    `reach` is how often the pictures on the ground are halved: the first look is as wide as 2 to this power windows.
+    `reach` is how often a picture on the ground is halved: the first look is as wide as 2 to this power windows. Of two
+    pictures the wider counts.
     """
     laid = [laid_on_ground(picture, cameras, index, raster) for index, picture in enumerate(pictures)]
     camera, point, squares, points = [], [], [], 0
@@ -133,7 +134,7 @@ def track_ground(
         for other, picture in enumerate(laid):
             if picture is None or other == index:
                 continue
-            rows, there = _followed(own, picture, places, reach)
+            rows, there = _followed(own, picture, places, int(max(reach[index], reach[other])))
             camera.append(np.full(len(rows), other))
             point.append(numbers[rows])
             squares.append(there)

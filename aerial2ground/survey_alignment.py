@@ -16,6 +16,8 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 from torch import Tensor
 
 from aerial2ground.bundle_adjustment import Beliefs, Bundle, Sightings, adjusted, errors, triangulated
@@ -35,6 +37,8 @@ WIDEST = 3
 """Halvings of pictures on the ground at the first look; more leave nothing of where they overlap."""
 FEWEST_SIGHTINGS = 6
 """A picture with fewer keeps its told pose: three points fix one only just."""
+FARTHEST = float(chi2.ppf(0.999, 6))
+"""Square of the distance from the told pose, in its standard deviations, beyond which a picture was misled."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,8 @@ class Aligned:
     sightings: int
     median_px: float
     """Median error, pixels."""
+    kept: tuple[int, ...]
+    """Pictures that keep their told pose: too little of the ground ties them to the others."""
 
 
 OnRound = Callable[[int, int, float], None]
@@ -92,11 +98,12 @@ def align_survey(
     beliefs = Beliefs(config.position_std, math.radians(config.angle_std), NOISE / focal)
     raster = Raster.over(data.cameras, data.scene_box, height)
     expected = focal * beliefs.angle_std + config.position_std / raster.pixel
-    seen, median = Sightings.none(), math.nan
+    seen, median, lost = Sightings.none(), math.nan, np.zeros(len(pose), bool)
     for number in range(config.rounds):
         cameras = replace(data.cameras, pose=_poses(bundle))
-        # each halving of the pictures doubles the reach of the flow, which is a few pixels
-        reach = max(min(math.ceil(math.log2(max(expected, 1.0))), WIDEST) - number, 1)
+        # each halving of the pictures doubles the reach of the flow, which is a few pixels; who is lost is far off
+        halvings = min(math.ceil(math.log2(max(expected, 1.0))), WIDEST)
+        reach = np.maximum(np.where(lost, halvings, halvings - number), 1)
         seen = track_ground(pictures, cameras, raster, config.corners, reach)
         if not seen.points:
             raise UserError(
@@ -108,9 +115,22 @@ def align_survey(
             bundle = adjusted(told, bundle, seen, beliefs, scale)
         median = float(np.median(np.linalg.norm(errors(bundle, seen)[0], axis=1))) * focal
         on_round(number + 1, len(seen.point), median)
-    lost = np.bincount(seen.camera, minlength=len(pose)) < FEWEST_SIGHTINGS
-    found = torch.where(torch.from_numpy(lost)[:, None, None], data.cameras.pose, _poses(bundle))
-    return Aligned(found, len(seen.point), median)
+        lost = np.bincount(seen.camera, minlength=len(pose)) < FEWEST_SIGHTINGS
+        lost |= distances(told, bundle, beliefs) > FARTHEST
+        bundle = Bundle(
+            np.where(lost[:, None, None], told.rotation, bundle.rotation),
+            np.where(lost[:, None], told.position, bundle.position),
+            bundle.points,
+        )
+    return Aligned(_poses(bundle), len(seen.point), median, tuple(np.nonzero(lost)[0].tolist()))
+
+
+def distances(told: Bundle, bundle: Bundle, beliefs: Beliefs) -> Float[np.ndarray, " n"]:
+    """Returns squares of how far poses are from told ones, in standard deviations, less what most have in common."""
+    moved = bundle.position - told.position
+    turned = Rotation.from_matrix(told.rotation.transpose(0, 2, 1) @ bundle.rotation).as_rotvec()
+    moved = (moved - np.median(moved, axis=0)) / beliefs.position_std
+    return (moved**2).sum(axis=1) + ((turned / beliefs.angle_std) ** 2).sum(axis=1)
 
 
 def align_folder(
@@ -137,7 +157,8 @@ def align_folder(
     for frame in document["frames"]:
         frame["transform_matrix"] = found.get(frame["file_path"], frame["transform_matrix"])
     about = {"from": str(folder), "alignment": asdict(config)}
-    about |= {"sightings": aligned.sightings, "median_px": aligned.median_px}
+    kept = [train.frames[row].file_path for row in aligned.kept]
+    about |= {"sightings": aligned.sightings, "median_px": aligned.median_px, "kept_as_told": kept}
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as place:
         fresh = Path(place) / out.name

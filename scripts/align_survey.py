@@ -35,7 +35,9 @@ def main() -> None:
     def tell(number: int, sightings: int, median: float) -> None:
         print(f"round {number}: {sightings} sightings of the ground agree within {median:.2f} px (median)", flush=True)
 
-    align_folder(Path(config.dataset), Path(config.out), config.alignment, tell)
+    kept = align_folder(Path(config.dataset), Path(config.out), config.alignment, tell).kept
+    if kept:
+        print(f"{len(kept)} pictures keep their told pose, too little ground ties them: kept_as_told in alignment.json")
     print(f"{config.out}: written; train on it with --dataset {config.out}")
 
 

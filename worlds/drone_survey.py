@@ -20,6 +20,8 @@ from worlds.scene import Rig
 
 WIDTH, HEIGHT = 240, 180
 """Pixels of the rig's cameras; `Cameras.scaled` changes them exactly."""
+OUTSIDE = 0.3
+"""Metres beyond the town's edge that the drone flies; more where a place cannot else be seen as flatly as asked."""
 
 
 @dataclass(frozen=True)
@@ -110,15 +112,17 @@ def _nadir(config: SurveyConfig, count: int, rng: np.random.Generator) -> list[C
 
 
 def _oblique(config: SurveyConfig, count: int, rng: np.random.Generator) -> list[CameraPose]:
-    """Pictures of places all over the town, headings spread evenly."""
+    """Pictures of places all over the town; headings are spread evenly, but for those from too far outside."""
     x0, y0, x1, y1 = AREA
     poses = []
     for number in range(count):
-        heading = 2 * math.pi * (number * 0.618034 % 1.0)
         height = config.oblique_height * rng.uniform(0.85, 1.15)
         reach = height / math.tan(math.radians(rng.uniform(config.flattest, config.steepest)))
         share = np.array([(number + 0.5) / count, (number * 0.7548777) % 1.0])
         target = np.array([x0, y0]) + share[::-1] * np.array([x1 - x0, y1 - y0])
-        eye = target - reach * np.array([math.cos(heading), math.sin(heading)])
+        turns = number * 0.618034 + np.arange(16) / 16
+        eyes = target - reach * np.stack([np.cos(2 * math.pi * turns), np.sin(2 * math.pi * turns)], axis=1)
+        beyond = np.maximum(np.array([x0, y0]) - eyes, eyes - np.array([x1, y1])).max(axis=1)
+        eye = eyes[int(np.argmax(beyond <= max(OUTSIDE, beyond.min())))]
         poses.append(look_at((*eye.tolist(), height), (*target.tolist(), 0.0)))
     return poses

@@ -52,7 +52,7 @@ def test_followed_points_are_where_the_true_cameras_see_them():
     rng = np.random.default_rng(2)
     told = torch.stack([disturbed(pose, 0.02, 1.0, rng) for pose in poses])
     shown = pictures(cameras(poses))
-    seen = track_ground(shown, cameras(told), Raster.over(cameras(told), BOX, 0.0), 40, 2)
+    seen = track_ground(shown, cameras(told), Raster.over(cameras(told), BOX, 0.0), 40, np.full(len(shown), 2))
     assert len(seen.point) > 1000 and np.bincount(seen.point).min() >= 3
     pose = poses.double().numpy()
     rotation, position = pose[:, :3, :3], pose[:, :3, 3]
@@ -65,5 +65,5 @@ def test_followed_points_are_where_the_true_cameras_see_them():
 
 def test_black_pictures_have_no_points():
     seen = cameras(flight())
-    none = track_ground(np.zeros((12, 120, 160, 3), np.uint8), seen, Raster.over(seen, BOX, 0.0), 40, 2)
+    none = track_ground(np.zeros((12, 120, 160, 3), np.uint8), seen, Raster.over(seen, BOX, 0.0), 40, np.full(12, 2))
     assert none.points == 0 and not math.isnan(float(none.place.sum()))

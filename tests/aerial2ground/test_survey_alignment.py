@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
+from aerial2ground.bundle_adjustment import Beliefs, Bundle
 from aerial2ground.pose_refinement import pose_errors
-from aerial2ground.survey_alignment import Aligned, AlignmentConfig, align_folder, align_survey
+from aerial2ground.survey_alignment import Aligned, AlignmentConfig, align_folder, align_survey, distances
 from hashnerf.errors import UserError
 from hashnerf.posed_images import load_posed_images
 from hashnerf.transforms_json import read_transforms, write_transforms
@@ -56,9 +58,30 @@ def test_a_picture_that_shows_nothing_keeps_its_told_pose(tmp_path):
     images = data.images.clone()
     images[5] = 0
     aligned = align_survey(replace(data, images=images), 0.0, AlignmentConfig(position_std=0.01, angle_std=0.5))
-    assert torch.equal(aligned.poses[5], told[5])
+    assert torch.equal(aligned.poses[5], told[5]) and aligned.kept == (5,)
     rest = [row for row in range(16) if row != 5]
     assert rms(aligned.poses[rest], poses[rest])[1] < 0.5 < rms(told[rest], poses[rest])[1]
+
+
+def test_a_picture_that_would_end_far_from_where_it_was_told_keeps_that_pose(tmp_path):
+    poses = flight(16)
+    told = poses.clone()
+    # half a metre is impossible where centimetres are believed
+    told[7, 0, 3] += 0.25
+    aligned = align_survey(survey(poses, told, tmp_path), 0.0, AlignmentConfig(position_std=0.02, angle_std=1.0))
+    assert aligned.kept == (7,) and torch.equal(aligned.poses[7], told[7])
+    rest = [row for row in range(16) if row != 7]
+    assert rms(aligned.poses[rest], poses[rest])[0] < 0.02, "the others are not carried off"
+
+
+def test_distances_from_told_poses_by_hand():
+    told = Bundle(np.tile(np.eye(3), (5, 1, 1)), np.zeros((5, 3)), np.zeros((0, 3)))
+    turned = Rotation.from_rotvec([[0, 0, 0], [0, 0, 0.2], [0, 0, 0], [0, 0, 0], [0, 0, 0]]).as_matrix()
+    moved = np.full((5, 3), 0.5)
+    moved[2, 0] += 0.06
+    # all have moved by 0.5 m: no picture tells that. One has turned by two deviations, one gone three aside
+    found = distances(told, Bundle(turned, moved, np.zeros((0, 3))), Beliefs(0.02, 0.1, 0.001))
+    assert found == pytest.approx([0.0, 4.0, 9.0, 0.0, 0.0])
 
 
 def test_nothing_to_see_is_said(tmp_path):
@@ -83,7 +106,7 @@ def test_a_folder_is_copied_with_better_training_poses(tmp_path, survey_folder, 
     def moved(data, height, config, on_round):
         poses = data.cameras.pose.clone()
         poses[:, 0, 3] += 0.5
-        return Aligned(poses, 7, 0.25)
+        return Aligned(poses, 7, 0.25, (1,))
 
     monkeypatch.setattr("aerial2ground.survey_alignment.align_survey", moved)
     out = tmp_path / "new" / "aligned"

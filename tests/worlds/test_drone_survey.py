@@ -66,7 +66,15 @@ def test_places_follow_the_seed_and_stay_near_the_town():
     assert not torch.equal(rig(4).cameras.pose, rig(5).cameras.pose)
     position = rig().cameras.pose[:, :3, 3]
     assert (position[:30, 0] > AREA[0]).all() and (position[:30, 0] < AREA[2]).all()
-    assert (position[:, 2] > 0.9).all() and (position[:, :2].abs() < 10).all()
+    assert (position[:, 2] > 0.9).all()
+
+
+def test_the_drone_stays_over_the_town_and_looks_every_way():
+    pose = rig().cameras.pose[30:]
+    beyond = torch.maximum(torch.tensor(AREA[:2]) - pose[:, :2, 3], pose[:, :2, 3] - torch.tensor(AREA[2:])).amax(dim=1)
+    assert (beyond <= 0.3).float().mean() > 0.9 and beyond.max() < 0.6
+    heading = torch.rad2deg(torch.atan2(-pose[:, 1, 2], -pose[:, 0, 2]))
+    assert np.histogram(heading, 8, (-180, 180))[0].min() >= 4
 
 
 @pytest.mark.parametrize(
