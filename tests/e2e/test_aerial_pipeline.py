@@ -92,7 +92,9 @@ def test_a_survey_with_wrong_poses_is_aligned(tmp_path):
     run(
         "make_dataset", "--config", "configs/worlds/mini_city.yaml", "--image_size", "160",
         "--mini_city.survey.images", "48", "--mini_city.survey.position_noise", "0.02",
-        "--mini_city.survey.angle_noise", "1.5", "--out", str(tmp_path / "city"), "--workers", "1",
+        "--mini_city.survey.angle_noise", "1.5", "--mini_city.survey.oblique_share", "0.5",
+        "--mini_city.survey.flattest", "35", "--mini_city.survey.steepest", "60",
+        "--out", str(tmp_path / "city"), "--workers", "1",
     )  # fmt: skip
     options = ("--alignment.position_std", "0.02", "--alignment.angle_std", "1.5", "--threads", "1")
     said = run("align_survey", "--dataset", str(tmp_path / "city"), "--out", str(tmp_path / "aligned"), *options)
