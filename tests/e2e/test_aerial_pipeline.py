@@ -1,11 +1,13 @@
 """aerial2ground through its scripts, small: survey, reconstruction, ground views, policies, drives."""
 
+import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import torch
 
 from aerial2ground.evaluate_reconstruction import true_poses
 from aerial2ground.pose_refinement import pose_errors
@@ -100,9 +102,13 @@ def test_a_survey_with_wrong_poses_is_aligned(tmp_path):
     said = run("align_survey", "--dataset", str(tmp_path / "city"), "--out", str(tmp_path / "aligned"), *options)
     assert "round 5: " in said and "(median)" in said
 
+    kept = json.loads((tmp_path / "aligned" / "alignment.json").read_text())["kept_as_told"]
+    assert len(kept) <= 4
+
     def errors(folder: Path) -> tuple[float, float]:
         data = load_posed_images(folder).split("train")
-        metres, radians = pose_errors(data.cameras.pose, true_poses(folder, data))
+        rows = torch.tensor([frame.file_path not in kept for frame in data.frames])
+        metres, radians = pose_errors(data.cameras.pose[rows], true_poses(folder, data)[rows])
         return float(metres.square().mean().sqrt()), float(radians.square().mean().sqrt())
 
     before, after = errors(tmp_path / "city"), errors(tmp_path / "aligned")
