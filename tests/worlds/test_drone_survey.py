@@ -72,7 +72,9 @@ def test_places_follow_the_seed_and_stay_near_the_town():
 def test_the_drone_stays_over_the_town_and_looks_every_way():
     pose = rig().cameras.pose[30:]
     beyond = torch.maximum(torch.tensor(AREA[:2]) - pose[:, :2, 3], pose[:, :2, 3] - torch.tensor(AREA[2:])).amax(dim=1)
-    assert (beyond <= 0.3).float().mean() > 0.9 and beyond.max() < 0.6
+    # 1.725 m high and 15 degrees down it is 6.44 m away: from the middle of 6 m x 5 m at best 1.8 m outside, along a
+    # diagonal, and a little more as only 16 headings are tried
+    assert (beyond <= 0.3).float().mean() > 0.9 and beyond.max() < 2.0
     heading = torch.rad2deg(torch.atan2(-pose[:, 1, 2], -pose[:, 0, 2]))
     assert np.histogram(heading, 8, (-180, 180))[0].min() >= 4
 
