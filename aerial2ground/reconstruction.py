@@ -34,7 +34,7 @@ EMPTY_EVERY = 4
 class ReconstructionConfig:
     """The radiance field of a town and its training."""
 
-    field: FieldConfig = option(default_factory=lambda: FieldConfig(finest_resolution=512))
+    field: FieldConfig = option(default_factory=lambda: FieldConfig(finest_resolution=512, ground=True))
     """Capacity of the field."""
     occupancy: OccupancyConfig = option(default_factory=lambda: OccupancyConfig(cell=0.06))
     """The grid that skips empty space."""

@@ -18,9 +18,11 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from hashnerf.activations import at_least_float32, truncated_exp
+from hashnerf.background import Background
 from hashnerf.errors import UserError
 from hashnerf.hash_grid import HashGrid
 from hashnerf.mlp import MLP
+from hashnerf.rays import Rays
 from hashnerf.spherical_harmonics import MAX_DEGREE, spherical_harmonics
 
 LEAK = 0.01
@@ -53,6 +55,9 @@ class FieldConfig:
     """Numbers the density network hands to the colour network."""
     direction_degree: int = 3
     """Bands of spherical harmonics of the viewing direction, 1 (none of it matters) to 4."""
+    ground: bool = False
+    """Beyond the box a flat ground goes on at the height of its floor, coloured by place; without it what lies beyond is
+    coloured by direction alone."""
     initial_thickness: float = 3.0
     """Optical thickness of the box along its longest side before training."""
     cell_thickness: float = 4.0
@@ -128,7 +133,7 @@ class Field(nn.Module):
         self.colour_network = MLP(
             harmonics + geometry + condition_size, config.hidden_width, config.colour_layers, 3, low
         )
-        self.background_layer = nn.Linear(harmonics + condition_size, 3)
+        self.beyond = Background(scene_box.float(), config.direction_degree, condition_size, config.ground)
 
     @property
     def box(self) -> Float[Tensor, "2 3"]:
@@ -202,11 +207,9 @@ class Field(nn.Module):
 
     def background(
         self,
-        directions: Float[Tensor, "rays 3"],
+        rays: Rays,
         condition: Float[Tensor, "g c"] | None = None,
         condition_index: Int[Tensor, " rays"] | None = None,
     ) -> Float[Tensor, "rays 3"]:
-        """Return the colour of what lies beyond the box in each direction."""
-        columns = [self.harmonics(directions), *self._columns(condition, condition_index)]
-        with torch.autocast(directions.device.type, enabled=False):
-            return torch.sigmoid(self.background_layer(torch.cat(columns, dim=1)))
+        """Return the colour of what lies beyond the box along each ray."""
+        return self.beyond(rays, self._columns(condition, condition_index))

@@ -153,8 +153,8 @@ def render_batch(
     def density_fn(positions: Tensor, ray_index: Tensor) -> Tensor:
         return field.density(positions, rows, None if of_ray is None else of_ray.index_select(0, ray_index))[0]
 
-    def background_fn(directions: Tensor) -> Tensor:
-        return field.background(directions, rows, of_ray)
+    def background_fn(rays: Rays) -> Tensor:
+        return field.background(rays, rows, of_ray)
 
     return render(batch.rays, field_fn, occupancy, settings, background_fn, generator, density_fn)
 
@@ -180,7 +180,7 @@ class FieldFit:
         self.field, self.occupancy = field, occupancy.to(self.fabric.device)
         networks = [*field.density_network.parameters(), *field.colour_network.parameters()]
         # the background must learn at once: what it cannot show yet appears as fog inside the box
-        quick = [field.hash_grid.table, *field.background_layer.parameters()]
+        quick = [field.hash_grid.table, *field.beyond.parameters()]
         groups = [
             {"params": quick, "start": config.learning_rate},
             {"params": networks, "start": config.network_learning_rate},

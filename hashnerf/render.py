@@ -1,7 +1,7 @@
 """Volume rendering of rays through callables: the core knows neither conditions nor networks.
 
 A field is any `field_fn(positions [s,3] m, directions [s,3] unit, ray_index [s]) -> (density [s] 1/m, rgb [s,3] in
-[0,1])`; a background is any `background_fn(directions [rays,3]) -> rgb [rays,3]`, black if absent. Depth is the
+[0,1])`; a background is any `background_fn(rays) -> rgb [rays,3]`, black if absent. Depth is the
 distance along the ray in metres, not the depth along the optical axis.
 """
 
@@ -19,7 +19,7 @@ from hashnerf.occupancy import OccupancyGrid
 from hashnerf.rays import Rays
 
 FieldFn = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
-BackgroundFn = Callable[[Tensor], Tensor]
+BackgroundFn = Callable[[Rays], Tensor]
 SAMPLES_AT_ONCE = 1 << 17  # without gradients the field sees this many samples at a time
 
 
@@ -63,7 +63,7 @@ def render(
     density = density.new_zeros(shape.numel()).index_copy(0, place, density).view(shape)
     rgb = rgb.new_zeros(shape.numel(), 3).index_copy(0, place, rgb).view(*shape, 3)
     weights, _ = sample_weights(density, samples.dt)
-    background = torch.zeros_like(rays.directions) if background_fn is None else background_fn(rays.directions)
+    background = torch.zeros_like(rays.directions) if background_fn is None else background_fn(rays)
     depth, valid = expected_depth(weights, samples.t)
     median, _ = median_depth(weights, samples.t)
     colour = composite_colour(weights, rgb, background)

@@ -9,7 +9,7 @@ import torch
 from hashnerf import compiling
 from hashnerf.errors import UserError
 from hashnerf.field import Field, FieldConfig
-from hashnerf.rays import unit_directions
+from hashnerf.rays import Rays, unit_directions
 
 BOX = torch.tensor([[-4.0, -2.0, 0.0], [4.0, 2.0, 2.0]])
 SMALL = FieldConfig(levels=3, log2_table_size=8, base_resolution=4, finest_resolution=16, hidden_width=16)
@@ -45,14 +45,15 @@ def test_conditions_by_row_equal_conditions_by_sample():
     by_sample = field(positions, directions, rows[index])
     for a, b in zip(by_row, by_sample):
         assert torch.equal(a, b)
-    assert torch.equal(field.background(directions, rows, index), field.background(directions, rows[index]))
+    rays = Rays(positions, directions)
+    assert torch.equal(field.background(rays, rows, index), field.background(rays, rows[index]))
 
 
 def test_the_condition_reaches_density_colour_and_background():
     field, (positions, directions) = trained_like(), samples(50)
     condition = torch.zeros(50, 3, requires_grad=True)
     density, rgb = field(positions, directions, condition)
-    for value in (density, rgb, field.background(directions, condition)):
+    for value in (density, rgb, field.background(Rays(positions, directions), condition)):
         (gradient,) = torch.autograd.grad(value.sum(), condition, retain_graph=True)
         assert gradient.abs().sum() > 0
 
@@ -74,7 +75,7 @@ def test_a_condition_of_another_length_is_refused(size, given):
     with pytest.raises(ValueError, match="length"):
         field(positions, directions, condition)
     with pytest.raises(ValueError, match="length"):
-        field.background(directions, condition)
+        field.background(Rays(positions, directions), condition)
 
 
 def test_density_is_bounded_whatever_the_weights_say():
@@ -105,7 +106,8 @@ def test_a_cell_is_at_most_opaque_and_can_become_clear_again(dtype):
 def test_no_samples_still_connect_every_parameter():
     field = trained_like()
     density, rgb = field(torch.zeros(0, 3), torch.zeros(0, 3), torch.zeros(1, 3), torch.zeros(0, dtype=torch.int64))
-    (density.sum() + rgb.sum() + field.background(torch.zeros(0, 3), torch.zeros(0, 3)).sum()).backward()
+    beyond = field.background(Rays(torch.zeros(0, 3), torch.zeros(0, 3)), torch.zeros(0, 3))
+    (density.sum() + rgb.sum() + beyond.sum()).backward()
     for parameter in field.parameters():
         assert (parameter.grad == 0).all()
 
@@ -126,9 +128,9 @@ def test_bfloat16_networks_are_close():
 def test_autocast_outside_changes_nothing():
     field, (positions, directions) = trained_like(), samples(30)
     condition = torch.randn(30, 3)
-    plain = [*field(positions, directions, condition), field.background(directions, condition)]
+    plain = [*field(positions, directions, condition), field.background(Rays(positions, directions), condition)]
     with torch.autocast("cpu", dtype=torch.bfloat16):
-        cast = [*field(positions, directions, condition), field.background(directions, condition)]
+        cast = [*field(positions, directions, condition), field.background(Rays(positions, directions), condition)]
     for a, b in zip(plain, cast):
         assert torch.equal(a, b)
 

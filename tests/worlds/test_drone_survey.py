@@ -6,7 +6,7 @@ import torch
 
 from hashnerf.cameras import project
 from hashnerf.errors import UserError
-from worlds.drone_survey import SurveyConfig, disturbed, survey_rig
+from worlds.drone_survey import OUTSIDE, SurveyConfig, disturbed, survey_rig
 from worlds.mini_city_roads import AREA, CENTRE_LINES
 
 
@@ -69,28 +69,11 @@ def test_places_follow_the_seed_and_stay_near_the_town():
     assert (position[:, 2] > 0.9).all()
 
 
-def test_the_drone_stays_over_the_town_and_looks_every_way():
-    pose = rig().cameras.pose[30:]
+@pytest.mark.parametrize("seed", range(5))
+def test_the_drone_stays_near_the_town_and_looks_every_way(seed):
+    pose = rig(seed).cameras.pose[30:]
     beyond = torch.maximum(torch.tensor(AREA[:2]) - pose[:, :2, 3], pose[:, :2, 3] - torch.tensor(AREA[2:])).amax(dim=1)
-    # 1.725 m high and 15 degrees down it is 6.44 m away: from the middle of 6 m x 5 m at best 1.8 m outside, along a
-    # diagonal, and a little more as only 16 headings are tried
-    assert (beyond <= 0.3).float().mean() > 0.9 and beyond.max() < 2.0
+    # 1.725 m high and 15 degrees down it is 6.44 m away: from the middle of 6 m x 5 m at best 1.8 m outside
+    assert beyond.max() < OUTSIDE + 1e-3
     heading = torch.rad2deg(torch.atan2(-pose[:, 1, 2], -pose[:, 0, 2]))
     assert np.histogram(heading, 8, (-180, 180))[0].min() >= 4
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"images": 4},
-        {"field_of_view": 170.0},
-        {"angle_noise": -1.0},
-        {"k1": 1.0},
-        {"oblique_share": 1.1},
-        {"flattest": 5.0},
-        {"flattest": 40.0, "steepest": 30.0},
-    ],
-)
-def test_settings_out_of_range_are_refused(settings):
-    with pytest.raises(UserError, match="survey"):
-        SurveyConfig(**settings)
