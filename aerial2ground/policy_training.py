@@ -56,6 +56,8 @@ class TaskConfig:
     """Pictures per step."""
     lr: float = 0.01
     """First step of Adam (paper: 0.01); it falls to zero along a cosine."""
+    weight_decay: float = 0.0
+    """Share of every weight that a step takes away, in units of the step (AdamW); 0 is Adam (paper)."""
 
     def __post_init__(self):
         for key in ("epochs", "batch_size"):
@@ -63,6 +65,8 @@ class TaskConfig:
                 raise UserError(f"task.{key} is {getattr(self, key)}; give at least 1")
         if not self.lr > 0:
             raise UserError(f"task.lr is {self.lr}; give a positive number")
+        if not 0 <= self.weight_decay * self.lr < 1:
+            raise UserError(f"task.weight_decay is {self.weight_decay}; give 0 or more, and less than 1 / lr")
 
 
 def augmented(
@@ -134,7 +138,7 @@ def train_network(
     network = PictureNetwork(config.network, pictures.shape[1], pictures.shape[2], answers_of(loss, targets.shape[1]))
     network.to(memory_format=torch.channels_last)
     generator = torch.Generator().manual_seed(seed)
-    optimizer = torch.optim.Adam(network.parameters(), lr=config.lr)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=config.lr, weight_decay=config.weight_decay)
     batches = max(len(pictures) // config.batch_size, 1)
     error = loss_of(loss)
     steps = config.epochs * batches

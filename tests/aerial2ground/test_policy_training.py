@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from aerial2ground.networks import NetworkConfig, PictureNetwork
 from aerial2ground.policy_training import AugmentationConfig, TaskConfig, as_input, augmented, train_network
 from hashnerf.errors import UserError
 
@@ -32,6 +33,19 @@ def test_training_repeats_with_the_seed():
     one, two, other = (train_network(config, *bright_side(32, 0), "l1", seed) for seed in (0, 0, 1))
     assert all(torch.equal(a, b) for a, b in zip(one.state_dict().values(), two.state_dict().values()))
     assert any(not torch.equal(a, b) for a, b in zip(one.state_dict().values(), other.state_dict().values()))
+
+
+def test_decay_takes_its_share_of_every_weight():
+    pictures = torch.zeros(16, 24, 32, 3, dtype=torch.uint8)
+
+    def size(decay):
+        # one step: what is learned is the same, what is taken is lr * decay of the weight before
+        config = TaskConfig(epochs=1, batch_size=16, lr=0.01, weight_decay=decay)
+        return train_network(config, pictures, torch.zeros(16, 1), "l1", seed=0).head[1].weight.detach()
+
+    torch.manual_seed(0)
+    before = PictureNetwork(NetworkConfig(), 24, 32, 1).head[1].weight.detach()
+    assert torch.allclose(size(0.0) - size(20.0), 0.2 * before, atol=1e-5)
 
 
 def test_augmentation_keeps_the_range_and_the_depth():
@@ -71,6 +85,9 @@ def test_one_picture_is_too_few():
     [
         (lambda: TaskConfig(epochs=0), "task.epochs"),
         (lambda: TaskConfig(lr=0.0), "task.lr"),
+        (lambda: TaskConfig(weight_decay=-0.1), "task.weight_decay"),
+        (lambda: TaskConfig(weight_decay=float("nan")), "task.weight_decay"),
+        (lambda: TaskConfig(lr=0.01, weight_decay=100.0), "task.weight_decay"),
         (lambda: AugmentationConfig(noise=1.0), "augmentation.noise"),
     ],
 )
