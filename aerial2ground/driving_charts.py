@@ -27,7 +27,7 @@ def driven_paths(
     paths: Mapping[str, Sequence], drives: Sequence[Mapping], network: RoadNetwork | None = None
 ) -> Figure:
     """Every drive over the roads, one panel a trajectory; crosses are interventions."""
-    figure = new_figure(FULL_WIDTH, 3.0 * -(-len(paths) // 3) + 0.3)
+    figure = new_figure(FULL_WIDTH, 3.2 * -(-len(paths) // 3) + 0.4)
     columns = min(len(paths), 3)
     panels = list(figure.subplots(-(-len(paths) // columns), columns, squeeze=False).flat)
     for axes, (name, points) in zip(panels, paths.items()):
