@@ -13,8 +13,10 @@ from aerial2ground.localisation import LocalisationConfig
 from aerial2ground.pose_filter import PoseFilterConfig
 from aerial2ground.pure_pursuit import PurePursuitConfig
 from aerial2ground.reconstruction import ReconstructionConfig
+from aerial2ground.road_network import FARTHEST
 from aerial2ground.teleoperation import TeleoperationConfig
 from hashnerf.errors import UserError
+from hashnerf.training_run import run_folder
 from worlds.inertial import InertialConfig
 
 
@@ -42,7 +44,7 @@ class AerialConfig:
     """From drone pictures to a policy."""
 
     name: str = "mini_city"
-    """Name of the run."""
+    """Name of the run; parts of a run are named run/part."""
     dataset: str = "data/mini_city"
     """Folder of the drone's pictures."""
     runs: str = "runs"
@@ -91,11 +93,15 @@ class AerialConfig:
     """Processes that render, train networks and drive; 0 uses all cores."""
 
     def __post_init__(self):
+        for part in self.name.split("/"):
+            run_folder(Path(self.runs), part)
         if self.seeds < 1:
             raise UserError(f"seeds is {self.seeds}; give at least 1")
         low, high = self.scene_box[:3], self.scene_box[3:]
         if len(low) != len(high) or len(low) not in (0, 3) or not all(a < b for a, b in zip(low, high)):
             raise UserError(f"scene_box is {list(self.scene_box)}; give x0, y0, z0, x1, y1, z1 with x0 < x1 and so on")
+        if not all(abs(value) <= FARTHEST for value in self.scene_box):
+            raise UserError(f"scene_box is {list(self.scene_box)}; give metres, up to {FARTHEST:g} from 0")
         if self.test_every < 0 or self.test_every == 1:
             raise UserError(f"test_every is {self.test_every}; give 2 or more, or 0 to hold out no picture")
 

@@ -21,10 +21,12 @@ from aerial2ground.pose_refinement import PoseCorrections, pose_errors
 from aerial2ground.reconstruction import PictureRays, RoadNerf
 from aerial2ground.stages import load_nerf, load_survey
 from hashnerf.cameras import Cameras
+from hashnerf.errors import UserError
 from hashnerf.fit import RayBatch, render_batch
 from hashnerf.metrics import psnr
+from hashnerf.model_files import weights_digest
 from hashnerf.posed_images import PosedImages
-from hashnerf.transforms_json import write_atomically
+from hashnerf.transforms_json import read_transforms, write_atomically
 from worlds.scenarios import world_from_description
 from worlds.scene import World
 
@@ -44,6 +46,9 @@ def evaluate_run(config: AerialConfig, aerial: bool = True) -> dict:
     nerf, cost = load_nerf(config, survey)
     test, train, folder = survey.test, survey.train, Path(config.dataset)
     results: dict = {"seconds": cost["seconds"], "test_pictures": len(test)}
+    results["weights"] = weights_digest(config.folder / "reconstruction")
+    if not aerial:
+        results |= _measured_before(config.folder / "reconstruction.json", results["weights"])
     if len(test) and aerial:
         aligned = aligned_poses(nerf, test, config.seed)
         results["aerial_psnr_db"] = aerial_psnr(nerf, test, test.cameras.pose)
@@ -62,6 +67,14 @@ def evaluate_run(config: AerialConfig, aerial: bool = True) -> dict:
         Image.fromarray(np.concatenate(strips)).save(config.folder / "ground_views.png")
     write_atomically(config.folder / "reconstruction.json", json.dumps(results, indent=1, allow_nan=False).encode())
     return results
+
+
+def _measured_before(path: Path, weights: str) -> dict:
+    """Returns what an earlier call found of the same field's held-out pictures, or why that is missing."""
+    before = read_transforms(path) if path.is_file() else {}
+    if before.get("weights") == weights:
+        return {key: value for key, value in before.items() if key.startswith("aerial_") or key == "not_run"}
+    return {"not_run": {"nerf.aerial_heldout_psnr_db": "held-out pictures were not asked for (--aerial false)"}}
 
 
 def save_aerial_pictures(
@@ -147,7 +160,11 @@ def ground_errors(
 
 def true_poses(folder: Path, data: PosedImages) -> Float[Tensor, "n 4 4"]:
     """Returns the true poses of the pictures of an embedded world's survey, in the order of `data`."""
-    poses = torch.tensor(json.loads((folder / "truth.json").read_text(encoding="utf-8"))["poses"])
-    rows = poses[[frame.camera for frame in data.frames]].clone()
+    path = folder / "truth.json"
+    try:
+        poses = torch.tensor(read_transforms(path)["poses"], dtype=torch.float32).reshape(-1, 4, 4)
+        rows = poses[[frame.camera for frame in data.frames]].clone()
+    except (KeyError, TypeError, ValueError, IndexError, RuntimeError) as error:
+        raise UserError(f"{path}: does not hold a 4 x 4 pose of every camera; make the data set again") from error
     rows[:, :3, 3] -= data.origin.float()
     return rows

@@ -134,23 +134,28 @@ def load_views(folder: FilePath) -> GroundViews:
     """Reads a set of ground views; raises UserError for a folder that is none or not finished."""
     path = folder / "transforms.json"
     if not path.is_file():
-        raise UserError(f"{folder}: no ground views here; run scripts/make_ground_views.py first")
+        script = "make_ground_views.py --pictures drives" if "from_drives" in folder.parts else "make_ground_views.py"
+        raise UserError(f"{folder}: no ground views here; run scripts/{script} first")
     frames = read_transforms(path).get("frames")
     if not frames:
         raise UserError(f"{path}: holds no frames")
     if any("car_pose" not in frame for frame in frames):
         raise UserError(f"{path}: frames lack car_pose; these are no ground views")
-    pictures = np.stack([read_rgb(resolve_inside(folder, frame["file_path"])) for frame in frames])
-    depth = np.full(pictures.shape[:3], np.nan, np.float32)
-    for number, frame in enumerate(frames):
-        if "depth_path" in frame:
-            depth[number] = read_depth(resolve_inside(folder, frame["depth_path"])) / 1000
+    try:
+        pictures = np.stack([read_rgb(resolve_inside(folder, frame["file_path"])) for frame in frames])
+        depth = np.full(pictures.shape[:3], np.nan, np.float32)
+        for number, frame in enumerate(frames):
+            if "depth_path" in frame:
+                depth[number] = read_depth(resolve_inside(folder, frame["depth_path"])) / 1000
+        numbers = [[float(frame[key]) for frame in frames] for key in ("arc", "steering")]
+        poses = np.array([frame["car_pose"] for frame in frames], dtype=float).reshape(len(frames), 3)
+    except (UserError, KeyError, TypeError, ValueError) as error:
+        what = f"a frame lacks {error}" if isinstance(error, KeyError) else error
+        raise UserError(
+            f"{folder}: holds damaged ground views ({what}); delete the folder and make them again"
+        ) from error
     return GroundViews(
-        torch.from_numpy(pictures),
-        torch.from_numpy(depth),
-        np.array([frame["car_pose"] for frame in frames]),
-        np.array([frame["arc"] for frame in frames]),
-        np.array([frame["steering"] for frame in frames]),
+        torch.from_numpy(pictures), torch.from_numpy(depth), poses, np.array(numbers[0]), np.array(numbers[1])
     )
 
 

@@ -6,8 +6,7 @@ only `ours` is trained.
 """
 
 import math
-import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 
@@ -35,8 +34,10 @@ from aerial2ground.paths import Path
 from aerial2ground.stages import Survey, load_driven_survey
 from aerial2ground.teleoperation import Teleoperator
 from hashnerf.checkpoints import load_checkpoint, load_module_state, module_tensors, save_checkpoint
-from hashnerf.command_line import usable_cores
+from hashnerf.command_line import plain_config, usable_cores
 from hashnerf.errors import UserError
+from hashnerf.made_from import MADE_FROM, begin, digest, require_same
+from hashnerf.run_lock import RunLock
 from hashnerf.worker_processes import map_in_processes
 from worlds.scenarios import world_from_description
 from worlds.scene import World
@@ -63,15 +64,23 @@ def run_drives(config: AerialConfig) -> None:
     """A person drives every trajectory in the town as it is now and collects pictures."""
     survey = load_driven_survey(config)
     town_of(config, survey)
-    if (config.drives / "transforms.json").is_file() and not config.overwrite:
-        return
-    shutil.rmtree(config.drives, ignore_errors=True)
-    names = list(survey.trajectories)
-    workers = config.workers or usable_cores()
-    for _ in map_in_processes(_Collector(config), names, workers):
-        pass
-    extras = {key: survey.data.extras[key] for key in ("road_network", "trajectories")}
-    join_views(config.drives, names, extras)
+    with RunLock(config.folder):
+        whole = (config.drives / "transforms.json").is_file() and not config.overwrite
+        begin(config.drives, _drives_record(config), overwrite=not whole)
+        if whole:
+            return
+        names = list(survey.trajectories)
+        for _ in map_in_processes(_Collector(config), names, config.workers or usable_cores()):
+            pass
+        extras = {key: survey.data.extras[key] for key in ("road_network", "trajectories")}
+        join_views(config.drives, names, extras)
+
+
+def _drives_record(config: AerialConfig) -> dict:
+    plain = plain_config(config)
+    person = {key: plain["teleoperation"][key] for key in ("laps", "hand", "hand_seconds")}
+    parts = {key: plain[key] for key in ("seed", "camera", "car", "pure_pursuit", "drive", "deployment")}
+    return parts | {"teleoperation": person, "dataset": digest(FilePath(config.dataset) / "transforms.json")}
 
 
 @dataclass(frozen=True)
@@ -116,8 +125,8 @@ def teleoperate(
     return person, drive_in(config, town, origin_of(survey), person, path, seed, laps)
 
 
-def pictures_of(config: AerialConfig, method: str, trajectory: str) -> list[GroundViews]:
-    """Returns what a method learns from along one trajectory."""
+def sources_of(config: AerialConfig, method: str, trajectory: str) -> list[FilePath]:
+    """Returns the folders of what a method learns from along one trajectory."""
     drives, drone, augmented = config.drives, config.folder / "ground", from_drives(config).folder / "ground"
     sources = {
         "baseline": (drives,),
@@ -126,7 +135,17 @@ def pictures_of(config: AerialConfig, method: str, trajectory: str) -> list[Grou
         "ours": (drone,),
         "ours_gv": (drone, drives, augmented),
     }
-    return [load_views(source / trajectory) for source in sources[method]]
+    return [source / trajectory for source in sources[method]]
+
+
+def pictures_of(config: AerialConfig, method: str, trajectory: str) -> list[GroundViews]:
+    """Returns what a method learns from along one trajectory."""
+    return [load_views(folder) for folder in sources_of(config, method, trajectory)]
+
+
+def _pictures_digest(config: AerialConfig, method: str, trajectories: Iterable[str]) -> str:
+    folders = [folder for name in trajectories for folder in sources_of(config, method, name)]
+    return digest(*(folder / file for folder in folders for file in ("transforms.json", MADE_FROM)))
 
 
 def seen(config: AerialConfig, views: GroundViews, network: NetworkConfig) -> UInt8[Tensor, "n h w c"]:
@@ -136,7 +155,7 @@ def seen(config: AerialConfig, views: GroundViews, network: NetworkConfig) -> UI
 
 def methods_of(config: AerialConfig, wanted: Sequence[str]) -> list[str]:
     """Returns the methods for which there are pictures: without collected drives, `ours` alone."""
-    return [method for method in wanted if method == "ours" or config.drives.is_dir()]
+    return [method for method in wanted if method == "ours" or (config.drives / "transforms.json").is_file()]
 
 
 def policy_folder(config: AerialConfig, trajectory: str, method: str, seed: int) -> FilePath:
@@ -158,7 +177,7 @@ def run_policies(config: AerialConfig, on_network: Callable[[int, int], None] = 
         for method in methods_of(config, METHODS)
         for seed in range(config.seeds)
     ]
-    _train_missing(config, _PolicyTrainer(config), jobs, on_network)
+    _train_missing(config, config.folder / "policies", _PolicyTrainer(config), jobs, on_network)
 
 
 @dataclass(frozen=True)
@@ -175,52 +194,81 @@ class _PolicyTrainer:
             pictures = [seen(self.config, part, imitation.task.network) for part in views]
             wanted = [part.steering for part in views]
             skies = [part.sky for part in views]
-            save_network(folder, train_policy(pictures, wanted, imitation.task, limit, number, skies))
+            network = train_policy(pictures, wanted, imitation.task, limit, number, skies)
+            save_network(folder, network, self.record(job))
 
         return train
+
+    def record(self, job: tuple[FilePath, str, str, int]) -> dict:
+        """What a network is made from."""
+        _, trajectory, method, _ = job
+        about = {"seed": self.config.seed, "imitation.task": plain_config(self.config.imitation.task)}
+        about |= {"car.steering_limit": self.config.car.steering_limit}
+        return about | {"pictures": _pictures_digest(self.config, method, [trajectory])}
 
 
 def run_localisers(config: AerialConfig, on_network: Callable[[int, int], None] = lambda done, total: None) -> None:
     """A localiser for every method and seed, from the pictures of all trajectories."""
-    load_driven_survey(config)
+    survey = load_driven_survey(config)
     jobs = [
         (localiser_folder(config, method, seed), method, seed)
         for method in methods_of(config, LOCALISERS)
         for seed in range(config.seeds)
     ]
-    _train_missing(config, _LocaliserTrainer(config), jobs, on_network)
+    trainer = _LocaliserTrainer(config, tuple(survey.trajectories))
+    _train_missing(config, config.folder / "localisers", trainer, jobs, on_network)
 
 
 @dataclass(frozen=True)
 class _LocaliserTrainer:
     config: AerialConfig
+    trajectories: tuple[str, ...]
 
     def __call__(self) -> Callable[[tuple[FilePath, str, int]], None]:
-        survey, task = load_driven_survey(replace(self.config, threads=1)), self.config.localisation.task
+        task = self.config.localisation.task
 
         def train(job: tuple[FilePath, str, int]) -> None:
             folder, method, seed = job
-            views = [part for name in survey.trajectories for part in pictures_of(self.config, method, name)]
+            views = [part for name in self.trajectories for part in pictures_of(self.config, method, name)]
             number = self.config.seed * 101 + seed
             pictures, poses = [seen(self.config, part, task.network) for part in views], [part.poses for part in views]
             skies, loss = [part.sky for part in views], self.config.localisation.loss
-            save_localiser(folder, train_localiser(pictures, poses, task, number, skies, loss))
+            localiser = train_localiser(pictures, poses, task, number, skies, loss)
+            save_localiser(folder, localiser, self.record(job))
 
         return train
 
+    def record(self, job: tuple[FilePath, str, int]) -> dict:
+        """What a network is made from."""
+        _, method, _ = job
+        about = {"seed": self.config.seed, "localisation": plain_config(self.config.localisation)}
+        return about | {"pictures": _pictures_digest(self.config, method, self.trajectories)}
+
 
 def _train_missing(
-    config: AerialConfig, make: Callable, jobs: list[tuple], on_network: Callable[[int, int], None]
+    config: AerialConfig,
+    folder: FilePath,
+    trainer: _PolicyTrainer | _LocaliserTrainer,
+    jobs: list[tuple],
+    on_network: Callable[[int, int], None],
 ) -> None:
-    if config.overwrite:
-        for folder, *_ in jobs:
-            shutil.rmtree(folder, ignore_errors=True)
-    missing = [job for job in jobs if not is_trained(job[0])]
-    done = len(jobs) - len(missing)
-    on_network(done, len(jobs))
-    for _ in map_in_processes(make, missing, config.workers or usable_cores()):
-        done += 1
+    with RunLock(folder):
+        missing = [job for job in jobs if config.overwrite or not _is_made(job[0], trainer.record(job))]
+        done = len(jobs) - len(missing)
         on_network(done, len(jobs))
+        for _ in map_in_processes(trainer, missing, config.workers or usable_cores()):
+            done += 1
+            on_network(done, len(jobs))
+
+
+def _is_made(folder: FilePath, record: dict) -> bool:
+    """Whether a whole network is there; raises UserError for one that was made from something else."""
+    try:
+        about = load_checkpoint(folder).state
+    except UserError:  # none, or a damaged one, which training replaces
+        return False
+    require_same(folder, about.get("made_from", {}), record)
+    return True
 
 
 def is_trained(folder: FilePath) -> bool:
@@ -228,9 +276,10 @@ def is_trained(folder: FilePath) -> bool:
     return (folder / f"{0:07d}").is_dir()
 
 
-def save_network(folder: FilePath, network: PictureNetwork) -> None:
-    """Saves a network with the size of its pictures."""
+def save_network(folder: FilePath, network: PictureNetwork, made_from: Mapping) -> None:
+    """Saves a network with the size of its pictures and what it was made from."""
     about = {"height": network.height, "width": network.width, "outputs": network.head[-1].out_features}
+    about |= {"made_from": dict(made_from)}
     save_checkpoint(folder, 0, module_tensors(network, "network"), about, keep=1)
 
 

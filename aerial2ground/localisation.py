@@ -3,7 +3,7 @@
 With `laplace` in place of L2 it also tells how sure it is of either.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -88,11 +88,12 @@ def train_localiser(
     return Localiser(train_network(config, torch.cat(list(pictures)), targets, loss, seed, sky), centre, scale)
 
 
-def save_localiser(folder: Path, localiser: Localiser) -> None:
-    """Saves the network with the units of its outputs."""
+def save_localiser(folder: Path, localiser: Localiser, made_from: Mapping) -> None:
+    """Saves the network with the units of its outputs and what it was made from."""
     network = localiser.network
     about = {"height": network.height, "width": network.width, "outputs": network.head[-1].out_features}
     about |= {"centre": localiser.centre.tolist(), "scale": localiser.scale}
+    about |= {"made_from": dict(made_from)}
     save_checkpoint(folder, 0, module_tensors(network, "network"), about, keep=1)
 
 

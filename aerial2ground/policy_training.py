@@ -63,7 +63,7 @@ class TaskConfig:
         for key in ("epochs", "batch_size"):
             if getattr(self, key) < 1:
                 raise UserError(f"task.{key} is {getattr(self, key)}; give at least 1")
-        if not self.lr > 0:
+        if not 0 < self.lr < math.inf:
             raise UserError(f"task.lr is {self.lr}; give a positive number")
         if not 0 <= self.weight_decay * self.lr < 1:
             raise UserError(f"task.weight_decay is {self.weight_decay}; give 0 or more, and less than 1 / lr")
@@ -152,6 +152,8 @@ def train_network(
             optimizer.zero_grad(set_to_none=True)
             error(network(seen.contiguous(memory_format=torch.channels_last)), targets[rows]).backward()
             optimizer.step()
+    if not all(bool(value.isfinite().all()) for value in network.state_dict().values()):
+        raise UserError(f"training of a network broke down, its weights are not finite; lower task.lr ({config.lr})")
     return network.eval()
 
 

@@ -29,7 +29,7 @@ RECONSTRUCTION, DRIVING, LOCALISATION, LATENCY = (
 TIMED = ("drone surveys", "radiance fields", "views and their figures", "steering networks", "drives and localisation")
 """Stages of scripts/demo_aerial.py: a run whose timings hold all of them was timed as a whole."""
 NO_WORLD = "no embedded world stands behind the pictures, so there is no truth to compare with"
-NO_PERSON = "needs pictures that a person collected from the ground, and no such network drove"
+NO_PERSON = "needs pictures that a person collected from the ground, and no such network was trained"
 
 
 @dataclass
@@ -163,6 +163,8 @@ def _read_localisation(run: RunResults, folder: Path, town: str) -> None:
     run.results.setdefault("table1", {})[town] = {name: table[name] for name in LOCATORS if name in table}
     about = {key: document[key] for key in ("views", "test_pictures") if key in document}
     run.results.setdefault("localisation", {})[town] = about
+    if table and "baseline" not in table:
+        run.reasons[f"table1.{town}.baseline"] = NO_PERSON
     run.reasons |= {f"table1.{town}.{key}": reason for key, reason in document.get("not_run", {}).items()}
     if document.get("tracks"):
         run.places[town] = document["tracks"]

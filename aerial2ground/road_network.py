@@ -20,6 +20,8 @@ from torch import Tensor
 
 from hashnerf.errors import UserError
 
+FARTHEST = 1e8
+"""Metres from 0 beyond which no map projection has a point."""
 EARTH_RADIUS = 6_371_008.8
 """Mean radius of the Earth, metres."""
 
@@ -96,6 +98,8 @@ def read_road_network(entry: Any, origin: Float[Tensor, " 3"], source: str) -> R
     if not _is_number(height):
         raise UserError(f"{source}: road_network.height is {height}; give the roads' height in metres")
     points = [_line(line, number, source) for number, line in enumerate(lines)]
+    if any(float(line.abs().max()) > FARTHEST for line in points):
+        raise UserError(f"{source}: road_network.lines has a point farther than {FARTHEST:g} m from 0; give metres")
     tensors = tuple(line[:, :2].float() - origin[:2].float() for line in points)
     colours = _colours(entry.get("colour"), len(lines), source)
     heights = _heights(points, "height" in entry, origin, source)

@@ -24,9 +24,11 @@ from aerial2ground.trajectories import read_trajectories
 from hashnerf.cameras import Cameras, any_sees, project
 from hashnerf.command_line import plain_config, save_config, set_threads, usable_cores
 from hashnerf.errors import UserError
-from hashnerf.model_files import load_model
+from hashnerf.made_from import begin, digest
+from hashnerf.model_files import load_model, weights_digest
 from hashnerf.posed_images import PosedImages, load_posed_images
 from hashnerf.random_state import seed_everything
+from hashnerf.run_lock import RunLock
 
 CONFIG = "config.yaml"
 FEWEST_PICTURES = 8
@@ -192,10 +194,25 @@ def run_ground_views(config: AerialConfig, on_view: Callable[[int, int], None] =
     workers = config.workers or usable_cores()
     rays = sum(len(cameras) for cameras, _ in sets) * config.camera.width * config.camera.height // workers
     field = SavedField(config, survey.data.scene_box, len(survey.train.images), rays)
-    render_views(field, sets, workers, on_view)
-    for (name, (car, cameras)), (_, folder) in zip(wanted.items(), sets):
-        steering = expert_steering(survey.trajectories[name], car, config.pure_pursuit)
-        describe_views(cameras, car, steering, folder, survey.data.scene_box, {})
+    with RunLock(config.folder / "ground"):
+        for name, (_, folder) in zip(wanted, sets):
+            begin(folder, _made_from(config, survey, name), config.overwrite)
+        render_views(field, sets, workers, on_view)
+        for (name, (car, cameras)), (_, folder) in zip(wanted.items(), sets):
+            steering = expert_steering(survey.trajectories[name], car, config.pure_pursuit)
+            describe_views(cameras, car, steering, folder, survey.data.scene_box, {})
+
+
+def _made_from(config: AerialConfig, survey: Survey, name: str) -> dict:
+    plain = plain_config(config)
+    views = {key: plain["reconstruction"][key] for key in ("view_samples_per_opacity", "view_parts")}
+    return {
+        "seed": config.seed,
+        "imitation": {key: plain["imitation"][key] for key in ("views", "disturbance")},
+        "camera": plain["camera"],
+        "reconstruction": views | {"weights": weights_digest(config.folder / "reconstruction")},
+        "path": digest(survey.trajectories[name].points.tobytes()),
+    }
 
 
 def _disturbed_views(config: AerialConfig, survey: Survey, name: str) -> tuple[GroundPoses, Cameras]:

@@ -37,6 +37,8 @@ WIDEST = 3
 """Halvings of pictures on the ground at the first look; more leave nothing of where they overlap."""
 FEWEST_SIGHTINGS = 6
 """A picture with fewer keeps its told pose: three points fix one only just."""
+LARGEST_ERROR = 1000.0
+"""Largest standard deviation of told poses, metres or degrees: beyond it nothing is told."""
 FARTHEST = float(chi2.ppf(0.999, 6))
 """Square of the distance from the told pose, in its standard deviations, beyond which a picture was misled."""
 
@@ -58,8 +60,10 @@ class AlignmentConfig:
         if self.rounds < 1:
             raise UserError(f"alignment.rounds is {self.rounds}; give at least 1")
         for key in ("position_std", "angle_std"):
-            if not 0 < getattr(self, key) < math.inf:
-                raise UserError(f"alignment.{key} is {getattr(self, key)}; give a positive number")
+            if not 0 < getattr(self, key) <= LARGEST_ERROR:
+                raise UserError(
+                    f"alignment.{key} is {getattr(self, key)}; give a positive number up to {LARGEST_ERROR:g}"
+                )
         if self.corners < 8:
             raise UserError(f"alignment.corners is {self.corners}; give at least 8")
 
@@ -143,6 +147,9 @@ def align_folder(
     """
     if out.exists():
         raise UserError(f"{out}: is there already; give another folder or remove it")
+    if out.resolve().is_relative_to(folder.resolve()):
+        raise UserError(f"{out}: lies within the data set that it would be a copy of; give a folder elsewhere")
+    out.parent.mkdir(parents=True, exist_ok=True)
     source = folder / "transforms.json"
     data = load_posed_images(folder)
     network = read_road_network(data.extras.get("road_network"), data.origin, str(source))
@@ -159,7 +166,6 @@ def align_folder(
     about = {"from": str(folder), "alignment": asdict(config)}
     kept = [train.frames[row].file_path for row in aligned.kept]
     about |= {"sightings": aligned.sightings, "median_px": aligned.median_px, "kept_as_told": kept}
-    out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as place:
         fresh = Path(place) / out.name
         shutil.copytree(folder, fresh)

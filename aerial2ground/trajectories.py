@@ -14,12 +14,20 @@ from torch import Tensor
 from aerial2ground.paths import Path
 from aerial2ground.road_network import RoadNetwork
 from hashnerf.errors import UserError
+from hashnerf.training_run import RUN_NAME
 
 
 def read_trajectories(entry: Any, network: RoadNetwork, origin: Float[Tensor, " 3"], source: str) -> dict[str, Path]:
     """Returns the paths of a data set in the frame of its loaded poses; raises UserError for what cannot be driven."""
     if not isinstance(entry, Mapping) or not entry:
         raise UserError(f"{source}: has no trajectories; add the paths to be driven, name -> [[x, y], ...]")
+    for name in entry:
+        # folders of views and networks are named after them
+        if not RUN_NAME.fullmatch(name):
+            raise UserError(
+                f"{source}: trajectories holds the name {name!r}; use 1 to 64 letters, digits, '.', '_' or '-', "
+                "starting with a letter or digit"
+            )
     return {name: _path(name, points, network, origin, source) for name, points in entry.items()}
 
 
@@ -35,7 +43,7 @@ def _path(name: str, points: Any, network: RoadNetwork, origin: Tensor, source: 
         path = Path(line)
     except UserError as error:
         raise UserError(f"{source}: trajectories.{name}: {error}") from error
-    far = network.distance(torch.from_numpy(line).float()) > network.width
+    far = ~(network.distance(torch.from_numpy(line).float()) <= network.width)  # not a number is far, too
     if bool(far.any()):
         place = (line + origin[:2].numpy())[int(far.nonzero()[0])]
         raise UserError(

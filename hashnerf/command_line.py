@@ -131,10 +131,12 @@ def run_main(main: Callable[[], int | None]) -> NoReturn:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 141
     except (MemoryError, RuntimeError, OSError) as error:
-        sentence = _exhausted(error)
+        sentence, status = _exhausted(error), 1
+        if sentence is None and isinstance(error, OSError) and error.filename is not None:
+            sentence, status = f"{error.filename}: {error.strerror}; give another path, or mend this one.", 2
         if sentence is None:
             raise
-        status = _complain(sentence, 1)
+        _complain(sentence, status)
     sys.exit(status)
 
 
@@ -332,7 +334,7 @@ def _with_full_key(message: str, hints: dict[str, Any]) -> str:
     if word in hints:
         return message
     whole = [key for key in hints if key.endswith(f".{word}")]
-    return message.replace(word, whole[0], 1) if len(whole) == 1 else message
+    return message.replace(word, " or ".join(whole), 1) if len(whole) in (1, 2) else message
 
 
 def _argument_problem(message: str, hints: dict[str, Any]) -> str:

@@ -56,7 +56,7 @@ class FieldConfig:
     direction_degree: int = 3
     """Bands of spherical harmonics of the viewing direction, 1 (none of it matters) to 4."""
     ground: bool = False
-    """Beyond the box a flat ground goes on at the height of its floor, coloured by place; without it what lies beyond is
+    """Beyond the box a flat ground goes on at the height of its floor, coloured by place; else what lies beyond is
     coloured by direction alone."""
     initial_thickness: float = 3.0
     """Optical thickness of the box along its longest side before training."""

@@ -6,9 +6,17 @@ from typing import TypeVar
 
 from torch import Tensor, nn
 
-from hashnerf.checkpoints import load_checkpoint, load_module_state, module_tensors, save_checkpoint
-from hashnerf.errors import UserError
-from hashnerf.training_run import TrainingRun
+from hashnerf.checkpoints import (
+    TENSORS,
+    checkpoint_steps,
+    load_checkpoint,
+    load_module_state,
+    module_tensors,
+    save_checkpoint,
+)
+from hashnerf.errors import DataError, UserError
+from hashnerf.made_from import digest
+from hashnerf.training_run import CONFIG, TrainingRun
 
 Module = TypeVar("Module", bound=nn.Module)
 
@@ -31,5 +39,17 @@ def load_model(folder: Path, build: Callable[[dict[str, Tensor]], Module], scrip
         raise UserError(f"{folder}: no trained model here; run {script} first")
     _, tensors, cost = load_checkpoint(folder / MODEL)
     module = build({name.removeprefix(f"{PREFIX}."): tensor for name, tensor in tensors.items()})
-    load_module_state(module, tensors, PREFIX)
+    try:
+        load_module_state(module, tensors, PREFIX)
+    except DataError as error:
+        raise UserError(
+            f"{folder}: {error}; give the config that it was trained with ({folder / CONFIG}), or run {script} again"
+        ) from error
     return module, cost
+
+
+def weights_digest(folder: Path) -> str:
+    """Returns 16 hexadecimal digits that change with the saved weights; raises UserError where there are none."""
+    if not checkpoint_steps(folder / MODEL):
+        raise UserError(f"{folder}: no trained model here")
+    return digest(folder / MODEL / f"{checkpoint_steps(folder / MODEL)[-1]:07d}" / TENSORS)

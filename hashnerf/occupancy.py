@@ -25,6 +25,7 @@ MAX_THICKNESS = 10.0  # exp(-10): opaque. A bounded spike decays below the thres
 # number fill the plane best, and most poles stand upright; the golden ratio goes well with them in height.
 SEQUENCE = (1 / 1.324717957244746, 1 / 1.324717957244746**2, 2 / (1 + math.sqrt(5)))
 USUAL_SHARE = 0.3  # of a new visit in the running mean: a visit tries only a few points
+MOST_CELLS = 1 << 28  # a gigabyte for each of three numbers
 CHUNK = 1 << 17  # positions evaluated at once
 
 
@@ -64,6 +65,11 @@ class OccupancyGrid(nn.Module):
         self.config = config
         extent = (box[1] - box[0]).double()
         self.shape = tuple(max(1, math.ceil(side / config.cell - 1e-6)) for side in extent.tolist())
+        if math.prod(self.shape) > MOST_CELLS:
+            raise UserError(
+                f"occupancy.cell is {config.cell:g} m: a scene box of {' x '.join(f'{side:.3g}' for side in extent)} m "
+                f"has more than {MOST_CELLS:.0e} such cells; use larger cells or a smaller scene_box"
+            )
         edges = extent / torch.tensor(self.shape)
         self.edge = float(edges.amax())  # crossing a cell along its longest edge
         cells = math.prod(self.shape)

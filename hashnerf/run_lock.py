@@ -14,11 +14,19 @@ from hashnerf.errors import UserError
 
 
 class RunLock:
-    """Hold `folder/.lock` from `acquire` to `release`; UserError names the process that has it."""
+    """Hold `folder/.lock` from `acquire` to `release`, or for a block; UserError names the process that has it."""
 
     def __init__(self, folder: Path):
         self.path = folder / ".lock"
         self._descriptor: int | None = None
+
+    def __enter__(self) -> "RunLock":
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self.acquire()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.release()
 
     def acquire(self) -> None:
         """Take the lock at once or raise UserError saying who has it."""

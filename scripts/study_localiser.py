@@ -33,6 +33,8 @@ class StudyConfig(AerialConfig):
 def main() -> None:
     """Train and try all networks, then write the page."""
     config = parse_config(StudyConfig, description="Measure what a localiser needs.")
+    page = Path(config.page)
+    page.parent.mkdir(parents=True, exist_ok=True)  # before hours of work
     tried = cases(config.views_tried, config.filters_tried, config.imitation.views)
     learn, elsewhere = prepare(config, config.views_tried)
     drives = test_drives(config)
@@ -42,7 +44,7 @@ def main() -> None:
     ):
         results[case] = errors
         print(f"{case.source} {case.views} views, {case.filters} filters: {errors.now_m:.2f} m", flush=True)
-    page, paths = Path(config.page), len(drives)
+    paths = len(drives)
     able = {source: words(case, paths) for source, case in smallest_that_can(results, TARGET).items()}
     about = f"`python scripts/study_localiser.py {' '.join(sys.argv[1:])}`; one seed; {machine()}; {commit()}."
     page.with_suffix(".png").write_bytes(png_bytes(study_chart(results, paths, TARGET)))

@@ -23,7 +23,7 @@ WIDTH, HEIGHT = 240, 180
 OUTSIDE = 2.0
 """Metres beyond the town's edge that the drone flies at most, where a place can be seen from there as flatly as asked.
 
-From farther off poses told badly cannot be mended; from nearer the localiser errs more (docs/results/aerial2ground_notes.md)."""
+From farther off, badly told poses cannot be mended (docs/results/aerial2ground_notes.md)."""
 
 
 @dataclass(frozen=True)

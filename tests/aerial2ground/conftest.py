@@ -24,7 +24,9 @@ from worlds.drone_survey import SurveyConfig
 from worlds.mini_city import MiniCityConfig
 
 TINY = ReconstructionConfig(
-    field=FieldConfig(levels=4, log2_table_size=12, base_resolution=8, finest_resolution=64, hidden_width=16),
+    field=FieldConfig(
+        levels=4, log2_table_size=12, base_resolution=8, finest_resolution=64, hidden_width=16, ground=True
+    ),
     occupancy=OccupancyConfig(cell=0.3),
     march=MarchSettings(candidates=48, even_distance=1.0, near=0.02),
     fit=FitConfig(rays=256, batch_samples=6000, occupancy_every=4),

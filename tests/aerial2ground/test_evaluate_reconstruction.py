@@ -20,6 +20,7 @@ from aerial2ground.evaluate_reconstruction import (
     true_poses,
 )
 from aerial2ground.stages import load_nerf, load_survey
+from hashnerf.errors import UserError
 from worlds.scenarios import world_from_description
 
 
@@ -82,3 +83,22 @@ def test_a_run_is_measured_into_its_folder(tiny_run, monkeypatch):
     assert results["test_pictures"] == 3 and results["aerial_psnr_db"] > 10
     assert results["poses"]["told_m"] > 0 and results["ground"]["road_psnr_db"] > 5
     assert Image.open(tiny_run.folder / "ground_views.png").size == (3 * 32, 3 * 36)
+
+
+def test_held_out_figures_stay_while_the_field_is_the_same(tiny_run, monkeypatch):
+    monkeypatch.setattr(module, "GROUND_VIEWS", 3)
+    monkeypatch.setattr(module, "ALIGN_STEPS", 2)
+    assert "aerial_psnr_db" not in evaluate_run(tiny_run, aerial=False)
+    assert "--aerial false" in evaluate_run(tiny_run, aerial=False)["not_run"]["nerf.aerial_heldout_psnr_db"]
+    whole = evaluate_run(tiny_run)
+    assert evaluate_run(tiny_run, aerial=False) == whole
+    monkeypatch.setattr(module, "weights_digest", lambda folder: "another")
+    assert "aerial_psnr_db" not in evaluate_run(tiny_run, aerial=False)
+
+
+@pytest.mark.parametrize("content", ["{}", '{"poses": [[1, 2], [3]]}', '{"poses": "x"}', '{"poses": []}'])
+def test_a_truth_that_is_none_is_named(tiny_run, tmp_path, content):
+    data = load_survey(tiny_run).train
+    (tmp_path / "truth.json").write_text(content)
+    with pytest.raises(UserError, match="truth.json: does not hold a 4 x 4 pose of every camera"):
+        true_poses(tmp_path, data)

@@ -11,6 +11,7 @@ from aerial2ground.ground_poses import DisturbanceConfig, disturbed_poses
 from aerial2ground.ground_views import cameras_of, describe_views, is_there, load_views, render_views
 from aerial2ground.paths import Path
 from hashnerf.errors import UserError
+from hashnerf.image_files import write_png
 from hashnerf.posed_images import load_depth, load_posed_images
 
 LINE = Path(np.array([(0.0, 0.0), (4.0, 0.0)]))
@@ -106,3 +107,28 @@ def test_folders_that_are_no_ground_views(tmp_path):
     (tmp_path / "transforms.json").write_text(json.dumps({"frames": []}))
     with pytest.raises(UserError, match="holds no frames"):
         load_views(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"arc": None}, "a frame lacks 'arc'"),
+        ({"file_path": None}, "a frame lacks 'file_path'"),
+        ({"steering": "left"}, "could not convert string"),
+        ({"car_pose": [1, 2]}, "cannot reshape|inhomogeneous"),
+        ({"file_path": "images/other.png"}, "other.png"),
+        ({"file_path": "images/small.png"}, "same shape"),
+    ],
+)
+def test_damaged_ground_views_name_their_folder_and_what_to_do(tmp_path, change, words):
+    folder = tmp_path / "outer_loop"
+    for name, size in (("a", 8), ("b", 8), ("small", 4)):
+        write_png(folder / "images" / f"{name}.png", np.zeros((size, 8, 3), np.uint8))
+    whole = {"car_pose": [0.0, 0.0, 0.0], "arc": 0.0, "steering": 0.0}
+    frames = [{"file_path": "images/a.png"} | whole, {"file_path": "images/b.png"} | whole]
+    frames[1] = {key: value for key, value in (frames[1] | change).items() if value is not None}
+    (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
+    with pytest.raises(
+        UserError, match=rf"outer_loop: holds damaged ground views \(.*({words}).*\); delete the folder"
+    ):
+        load_views(folder)

@@ -1,5 +1,6 @@
 """Collected drives and the networks that learn from them and from ground views."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from aerial2ground.learning_stages import (
 )
 from aerial2ground.networks import NetworkConfig
 from aerial2ground.stages import load_survey, run_ground_views, run_reconstruction
+from hashnerf.checkpoints import TENSORS
 from hashnerf.errors import UserError
 
 
@@ -68,6 +70,56 @@ def test_a_network_for_every_trajectory_method_and_seed(driven_run):
     assert calls == [(24, 24)], "trained networks are kept"
     run_localisers(driven_run)
     assert all(is_trained(localiser_folder(driven_run, method, 0)) for method in ("ours", "baseline"))
+
+
+def test_networks_made_from_something_else_are_refused_and_nothing_is_lost(tiny_run):
+    run_ground_views(tiny_run)
+    run_localisers(tiny_run)
+    folder = localiser_folder(tiny_run, "ours", 0)
+    before = weights(folder)
+    task = replace(tiny_run.localisation.task, weight_decay=0.5)
+    other = replace(tiny_run, localisation=replace(tiny_run.localisation, task=task))
+    with pytest.raises(UserError, match=r"weight_decay: 0.0 -> 0.5.*--overwrite true"):
+        run_localisers(other)
+    assert weights(folder) == before
+    run_localisers(replace(other, overwrite=True))
+    assert weights(folder) != before
+
+
+def test_what_cannot_be_trained_anew_is_kept(tiny_run):
+    run_ground_views(tiny_run)
+    run_localisers(tiny_run)
+    before = weights(localiser_folder(tiny_run, "ours", 0))
+    shutil.rmtree(tiny_run.folder / "ground")
+    with pytest.raises(UserError, match="no ground views here"):
+        run_localisers(replace(tiny_run, overwrite=True))
+    assert weights(localiser_folder(tiny_run, "ours", 0)) == before
+
+
+def test_a_damaged_network_is_trained_again(tiny_run):
+    run_ground_views(tiny_run)
+    run_localisers(tiny_run)
+    folder = localiser_folder(tiny_run, "ours", 0)
+    before = weights(folder)
+    (folder / "0000000" / TENSORS).write_bytes(before[:100])
+    run_localisers(tiny_run)
+    assert weights(folder) == before
+
+
+def weights(folder):
+    return (folder / "0000000" / TENSORS).read_bytes()
+
+
+def test_collected_pictures_of_another_camera_are_refused(driven_run):
+    other = replace(driven_run, camera=replace(driven_run.camera, width=40))
+    with pytest.raises(UserError, match=r"camera.width: 32 -> 40"):
+        run_drives(other)
+    assert load_views(driven_run.drives / "outer_loop").pictures.shape[2] == 32
+
+
+def test_half_collected_drives_do_not_count(tiny_run):
+    (tiny_run.drives / "outer_loop").mkdir(parents=True)
+    assert methods_of(tiny_run, ("imit", "ours")) == ["ours"]
 
 
 def test_without_collected_pictures_there_is_only_ours(tiny_run):

@@ -68,7 +68,7 @@ def test_a_network_learns_what_pictures_tell(tmp_path):
     localiser = train_localiser([striped(poses[:200]), striped(poses[200:])], [poses[:200], poses[200:]], config, 0)
     metres, degrees = pose_rmse(localiser(striped(poses)), poses)
     assert metres < 0.25 and degrees < 8
-    save_localiser(tmp_path / "one", localiser)
+    save_localiser(tmp_path / "one", localiser, {})
     again = load_localiser(tmp_path / "one", NetworkConfig())
     assert again.estimates(striped(poses[:5])).deviations is None, "trained by L2 it tells none"
     assert again(striped(poses[:5])) == pytest.approx(localiser(striped(poses[:5])))
@@ -88,7 +88,7 @@ def test_who_says_how_sure_it_is_knows_what_pictures_do_not_tell(tmp_path):
     assert place < 0.5 * blind_place and yaw < 0.5 * blind_yaw
     off = found.poses - poses
     assert blind_place == pytest.approx(off[::2, :2].std(), rel=0.35)
-    save_localiser(tmp_path / "sure", localiser)
+    save_localiser(tmp_path / "sure", localiser, {})
     again = load_localiser(tmp_path / "sure", NetworkConfig()).estimates(pictures[:5])
     assert again.deviations == pytest.approx(found.deviations[:5])
 

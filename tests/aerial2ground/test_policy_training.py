@@ -48,6 +48,11 @@ def test_decay_takes_its_share_of_every_weight():
     assert torch.allclose(size(0.0) - size(20.0), 0.2 * before, atol=1e-5)
 
 
+def test_training_that_broke_down_is_not_taken_for_trained():
+    with pytest.raises(UserError, match=r"broke down.*lower task.lr"):
+        train_network(TaskConfig(epochs=2, batch_size=16, lr=1e30), *bright_side(32, 0), "l1", seed=0)
+
+
 def test_augmentation_keeps_the_range_and_the_depth():
     pictures = torch.rand(16, 4, 20, 24, generator=torch.Generator().manual_seed(0))
     changed = augmented(pictures, AugmentationConfig(row_jitter=0.0), torch.Generator().manual_seed(1))

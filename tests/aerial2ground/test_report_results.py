@@ -1,5 +1,6 @@
 """Files of a run become results with reasons; tests/aerial2ground/test_report.py has the missing ones."""
 
+import json
 from dataclasses import replace
 
 import pytest
@@ -46,3 +47,11 @@ def test_the_report_counts_itself_and_phases_once(fake):
     note(fake.folder, "report", 900.0, 1.0)  # an earlier one
     add_costs(run, fake.folder, 5.0, 100.0)
     assert run.results["seconds_total"] == 707
+
+
+def test_where_nobody_collected_pictures_the_baseline_has_a_reason(fake):
+    path = fake.folder / "localisation.json"
+    document = json.loads(path.read_text())
+    del document["table1"]["baseline"]
+    save(path, document)
+    assert set(read_run(fake).reasons) == {"table1.layout_0.baseline"}

@@ -15,6 +15,7 @@ from aerial2ground.pure_pursuit import PurePursuitConfig
 from aerial2ground.stages import (
     load_survey,
     run_ground_views,
+    run_reconstruction,
     unseen_road,
 )
 from hashnerf.errors import UserError
@@ -41,6 +42,22 @@ def test_ground_views_have_poses_and_labels(tiny_run):
     assert calls[-1] == (18, 18)
     views = load_views(tiny_run.folder / "ground" / "outer_loop")
     assert views.pictures.shape == (6, 18, 32, 3) and abs(views.steering).max() <= tiny_run.car.steering_limit
+
+
+def test_views_of_another_field_or_camera_are_refused_and_rendered_anew_when_asked(tiny_run):
+    run_ground_views(tiny_run)
+    picture = tiny_run.folder / "ground" / "outer_loop" / "images" / "00000.png"
+    before = picture.read_bytes()
+    with pytest.raises(UserError, match=r"imitation.views: 6 -> 7\); .*--overwrite true"):
+        run_ground_views(replace(tiny_run, imitation=replace(tiny_run.imitation, views=7)))
+    steps = tiny_run.reconstruction.steps + 5
+    longer = replace(tiny_run, overwrite=True, reconstruction=replace(tiny_run.reconstruction, steps=steps))
+    run_reconstruction(longer)
+    with pytest.raises(UserError, match="reconstruction.weights: "):
+        run_ground_views(replace(longer, overwrite=False))
+    assert picture.read_bytes() == before
+    run_ground_views(longer)
+    assert picture.read_bytes() != before
 
 
 def test_every_road_is_seen_and_a_shifted_one_is_not(tiny_run):

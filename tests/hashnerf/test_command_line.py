@@ -238,6 +238,7 @@ def test_help_shows_every_field_with_its_sentence_and_default(capsys):
         ("raise MemoryError", 1, "Out of memory"),
         ("raise RuntimeError('CUDA out of memory. Tried to allocate 2 GiB')", 1, "Out of memory: CUDA"),
         ("raise OSError(28, 'No space left on device', 'x.png')", 1, "The disk is full"),
+        ("raise NotADirectoryError(20, 'Not a directory', 'a/b')", 2, "a/b: Not a directory; give another path"),
         ("import torch; torch.empty(1 << 60)", 1, "Out of memory"),
     ],
 )

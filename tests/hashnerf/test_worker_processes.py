@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -100,3 +101,30 @@ def test_ctrl_c_while_the_processes_start_is_heard_here_alone(tmp_path):
     )
     assert ended.stderr == ""
     assert ended.returncode == 130
+
+
+KILLED = """
+import os, signal, sys, threading, time
+from tests.hashnerf.test_worker_processes import squares
+from hashnerf.worker_processes import worker_processes
+
+if __name__ == "__main__":
+    with worker_processes(squares, 2) as mapped:
+        print(*{pid for _, pid in mapped(range(64))}, flush=True)
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_processes_of_a_killed_parent_end(tmp_path):
+    script = tmp_path / "killed.py"
+    script.write_text(KILLED)
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    ended = subprocess.run([sys.executable, str(script)], env=environment, stdout=subprocess.PIPE, timeout=90)
+    assert ended.returncode == -signal.SIGKILL
+    left = [int(pid) for pid in ended.stdout.split()]
+    for _ in range(100):
+        left = [pid for pid in left if Path(f"/proc/{pid}").exists()]
+        if not left:
+            return
+        time.sleep(0.1)
+    raise AssertionError(f"{left} still run")

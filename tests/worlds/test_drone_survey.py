@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from hashnerf.cameras import project
-from hashnerf.errors import UserError
 from worlds.drone_survey import OUTSIDE, SurveyConfig, disturbed, survey_rig
 from worlds.mini_city_roads import AREA, CENTRE_LINES
 
