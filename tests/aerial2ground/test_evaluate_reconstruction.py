@@ -100,5 +100,5 @@ def test_held_out_figures_stay_while_the_field_is_the_same(tiny_run, monkeypatch
 def test_a_truth_that_is_none_is_named(tiny_run, tmp_path, content):
     data = load_survey(tiny_run).train
     (tmp_path / "truth.json").write_text(content)
-    with pytest.raises(UserError, match="truth.json: does not hold a 4 x 4 pose of every camera"):
+    with pytest.raises(UserError, match=r"truth.json: does not hold a 4 x 4 pose of every camera"):
         true_poses(tmp_path, data)

@@ -53,7 +53,7 @@ def test_views_of_another_field_or_camera_are_refused_and_rendered_anew_when_ask
     steps = tiny_run.reconstruction.steps + 5
     longer = replace(tiny_run, overwrite=True, reconstruction=replace(tiny_run.reconstruction, steps=steps))
     run_reconstruction(longer)
-    with pytest.raises(UserError, match="reconstruction.weights: "):
+    with pytest.raises(UserError, match=r"reconstruction.weights: "):
         run_ground_views(replace(longer, overwrite=False))
     assert picture.read_bytes() == before
     run_ground_views(longer)

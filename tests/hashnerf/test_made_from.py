@@ -29,7 +29,7 @@ def test_files_of_unknown_origin_are_not_continued(tmp_path):
     begin(tmp_path, {"seed": 1})
     (tmp_path / MADE_FROM).unlink()
     (tmp_path / "0.png").write_bytes(b"x")
-    with pytest.raises(UserError, match="holds files, but no made_from.json"):
+    with pytest.raises(UserError, match=r"holds files, but no made_from.json"):
         begin(tmp_path, {"seed": 1})
 
 
