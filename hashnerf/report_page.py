@@ -19,7 +19,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from hashnerf.errors import UserError
-from hashnerf.report_tables import Table, number
+from hashnerf.report_tables import Table, number, number_beside
 from hashnerf.run_info import RunInfo
 from hashnerf.targets import Verdict, lookup, reason_for
 from hashnerf.transforms_json import write_atomically
@@ -152,7 +152,7 @@ def _summary_row(verdict: Verdict) -> dict[str, str]:
 def _measured(verdict: Verdict) -> str:
     if verdict.measured is None:
         return f"not run: {verdict.reason}"
-    value = number(verdict.measured, verdict.target.unit)
+    value = number_beside(verdict.measured, verdict.limit, verdict.target.unit)
     return f"{value} ({verdict.reason})" if verdict.reason else value
 
 

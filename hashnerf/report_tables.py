@@ -24,6 +24,18 @@ def number(value: float | int | None, unit: str = "", digits: int | None = None)
     if not math.isfinite(value):
         return "not finite"
     scale = {"%": 100.0, "points": 100.0, "min": 1 / 60}.get(unit, 1.0)
-    if digits is None:
-        digits = DIGITS.get(unit, 1) if unit else 0 if float(value).is_integer() else 3
+    digits = _usual_digits(value, unit) if digits is None else digits
     return f"{value * scale:.{digits}f} {unit}".strip().replace("-", "−")
+
+
+def number_beside(value: float | int | None, limit: float | int | None, unit: str = "") -> str:
+    """The same, with more decimals (6 at most) where it would read like a limit that it is not."""
+    if value is None or limit is None or value == limit or not math.isfinite(value):
+        return number(value, unit)
+    usual = _usual_digits(value, unit)
+    apart = (d for d in range(usual, 7) if number(value, unit, d) != number(limit, unit, d))
+    return number(value, unit, next(apart, usual))
+
+
+def _usual_digits(value: float | int, unit: str) -> int:
+    return DIGITS.get(unit, 1) if unit else 0 if float(value).is_integer() else 3

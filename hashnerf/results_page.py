@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hashnerf.errors import UserError
-from hashnerf.report_tables import Table, number
+from hashnerf.report_tables import Table, number, number_beside
 from hashnerf.targets import Target, lookup
 from hashnerf.transforms_json import read_transforms
 
@@ -77,7 +77,8 @@ def _cell(report: dict, key: str, unit: str, script: str) -> str:
         raise UserError(f"{report['run']['name']}: its report lacks {key}; run {script} again")
     if row["measured"] is None:
         return "not run"
-    value = number(lookup(report, key) if lookup(report, key) is not None else row["measured"], unit)
+    measured = lookup(report, key) if lookup(report, key) is not None else row["measured"]
+    value = number_beside(measured, row["target"], unit)
     if row["target"] is None:
         return f"{value} ({row['reason']})" if row.get("reason") else value
     sign = {">=": "≥", "<=": "≤", "==": "="}[row["comparison"]]

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from hashnerf.report_tables import number
+from hashnerf.report_tables import number, number_beside
 
 
 @pytest.mark.parametrize(
@@ -25,3 +25,21 @@ from hashnerf.report_tables import number
 )
 def test_numbers_are_written_for_people(value, unit, text):
     assert number(value, unit) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "limit", "unit", "text"),
+    [
+        (0.00024, 0.0, "m", "0.0002 m"),
+        (3.0396, 3.0, "deg", "3.04 deg"),
+        (3.0004, 3.0, "deg", "3.0004 deg"),
+        (0.0, 0.0, "m", "0.000 m"),
+        (1e-12, 0.0, "m", "0.000 m"),
+        (0.1204, 0.12, "m", "0.1204 m"),
+        (None, 0.0, "m", "–"),
+        (0.5, None, "%", "50.0 %"),
+        (math.nan, 0.0, "m", "not finite"),
+    ],
+)
+def test_what_missed_its_limit_by_little_does_not_read_like_it(value, limit, unit, text):
+    assert number_beside(value, limit, unit) == text
