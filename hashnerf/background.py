@@ -4,8 +4,8 @@ By direction alone the horizon is as soft as the spherical harmonics are, and a 
 no colour that fits two places of the camera. What the background cannot show, training builds as a painted wall just
 inside the box, and a camera near the ground sees that wall. With `ground` a ray that leaves the box downwards takes
 the colour of the place where it meets the plane that the box stands on; places are contracted as in mip-NeRF 360
-(Barron et al., 2022, equation 10), in the largest norm, so that the plane has no end. Below the box no place has a
-colour of its own: what can be painted there need not be built, and fog stays (docs/results/notes.md).
+(Barron et al., 2022, equation 10), in the largest norm, so that the plane has no end. Under the box no place has a
+colour of its own: what stands there is the field's to show.
 """
 
 import torch

@@ -43,6 +43,14 @@ def test_the_horizon_is_sharp_and_the_sky_knows_no_place():
     assert torch.equal(first, second)
 
 
+def test_under_the_box_nothing_is_painted():
+    model = background()
+    seen = rays((0.0, 0.0, 1.0), (2.0, 0.0, -1.0), (0.0, 1.9, -1.0), (4.5, 0.0, -1.0))
+    before = model(seen, [])
+    torch.nn.init.constant_(model.picture, 3.0)
+    assert torch.equal(model(seen, [])[:2], before[:2]) and not torch.allclose(model(seen, [])[2], before[2])
+
+
 def test_without_ground_only_the_direction_counts():
     model = background(ground=False)
     first, second = (model(rays(origin, (1.0, 0.0, -0.3)), []) for origin in ((0.0, 0.0, 1.0), (2.0, 1.0, 0.3)))
