@@ -18,6 +18,7 @@ from pathlib import Path
 from aerial2ground.config import AerialConfig, layout_config
 from aerial2ground.report_words import DRIVERS, JUDGED_DRIVERS, LOCATORS, PRIORS, VIEW_FIGURES, town_key
 from hashnerf.errors import UserError
+from hashnerf.model_files import has_model, weights_digest
 from hashnerf.pipeline import read_timings, total_seconds
 from hashnerf.stage_costs import ordered_stages
 from hashnerf.targets import WHOLE_RUN
@@ -102,6 +103,12 @@ def _read_reconstruction(run: RunResults, folder: Path) -> None:
     if not path.is_file():
         raise UserError(f"{folder}: holds no {RECONSTRUCTION}; run scripts/evaluate_reconstruction.py first")
     document = read_transforms(path)
+    field = folder / "reconstruction"
+    if "weights" in document and has_model(field) and document["weights"] != weights_digest(field):
+        raise UserError(
+            f"{path}: was measured on another field than {field} holds; run scripts/evaluate_reconstruction.py again, "
+            "and the stages after it"
+        )
     run.reasons |= document.get("not_run", {})
     names = {
         "aerial_psnr_aligned_db": "aerial_heldout_psnr_db",

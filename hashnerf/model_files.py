@@ -48,8 +48,13 @@ def load_model(folder: Path, build: Callable[[dict[str, Tensor]], Module], scrip
     return module, cost
 
 
+def has_model(folder: Path) -> bool:
+    """Whether a model was saved here."""
+    return bool(checkpoint_steps(folder / MODEL))
+
+
 def weights_digest(folder: Path) -> str:
     """Returns 16 hexadecimal digits that change with the saved weights; raises UserError where there are none."""
-    if not checkpoint_steps(folder / MODEL):
+    if not has_model(folder):
         raise UserError(f"{folder}: no trained model here")
     return digest(folder / MODEL / f"{checkpoint_steps(folder / MODEL)[-1]:07d}" / TENSORS)

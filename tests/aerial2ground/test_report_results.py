@@ -5,8 +5,10 @@ from dataclasses import replace
 
 import pytest
 
+from aerial2ground import report_results as module
 from aerial2ground.config import AerialConfig, EvaluationConfig
 from aerial2ground.report_results import ablation_folder, add_costs, read_run
+from hashnerf.errors import UserError
 from hashnerf.pipeline import note
 from tests.aerial2ground.fake_run import fake_run, save
 
@@ -47,6 +49,16 @@ def test_the_report_counts_itself_and_phases_once(fake):
     note(fake.folder, "report", 900.0, 1.0)  # an earlier one
     add_costs(run, fake.folder, 5.0, 100.0)
     assert run.results["seconds_total"] == 707
+
+
+def test_figures_of_another_field_are_refused(fake, monkeypatch):
+    path = fake.folder / "reconstruction.json"
+    save(path, json.loads(path.read_text()) | {"weights": "a"})
+    read_run(fake)  # the field itself may be gone
+    monkeypatch.setattr(module, "has_model", lambda folder: True)
+    monkeypatch.setattr(module, "weights_digest", lambda folder: "b")
+    with pytest.raises(UserError, match=r"was measured on another field.*evaluate_reconstruction.py again"):
+        read_run(fake)
 
 
 def test_where_nobody_collected_pictures_the_baseline_has_a_reason(fake):
