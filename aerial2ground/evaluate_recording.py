@@ -61,6 +61,8 @@ class RecordingConfig:
             raise UserError(f"gap is {self.gap}; give 0 or more frames")
         if self.width < 8:
             raise UserError(f"width is {self.width}; give at least 8 pixels")
+        if self.out and Path(self.out).is_dir():
+            raise UserError(f"out is {self.out}, a folder; give a file to be written")
 
 
 def evaluate_recording(config: RecordingConfig, on_block: OnBlock = lambda done, total: None) -> dict:

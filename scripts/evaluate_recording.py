@@ -19,14 +19,14 @@ def main() -> None:
     with Progress(transient=True) as progress:
         task = progress.add_task("blocks")
         results = evaluate_recording(config, lambda done, total: progress.update(task, completed=done, total=total))
-    if config.out:
-        write_atomically(Path(config.out), json.dumps(results, indent=1, allow_nan=False).encode())
     print(f"{results['frames']} frames, {results['seconds']} s")
     print(f"{'method':10s}{'R2':>8s}{'error':>8s}   R2 of every held-out block")
     for name in ("network", "linear", "constant"):
         row = results[name]
         blocks = " ".join(f"{value:6.2f}" for value in row["r2_blocks"])
         print(f"{name:10s}{row['r2']:8.3f}{row['mean_absolute_error']:8.3f}   {blocks}")
+    if config.out:  # last: what was found has been said, whatever becomes of the file
+        write_atomically(Path(config.out), json.dumps(results, indent=1, allow_nan=False).encode())
 
 
 if __name__ == "__main__":

@@ -113,6 +113,7 @@ def test_a_seed_decides_everything():
         ({"blocks": 1}, "blocks is 1"),
         ({"gap": -1}, "gap is -1"),
         ({"width": 4}, "width is 4"),
+        ({"out": "."}, "out is ., a folder; give a file"),
     ],
 )
 def test_bad_settings_are_named(changes, sentence):
