@@ -140,7 +140,7 @@ class LatentNerf(nn.Module):
             lambda x, d, ray: self.field(x, d, row, index_of(x)),
             self.occupancy,
             self.config.march,
-            lambda rays: self.field.background(rays, row, torch.zeros(len(rays), dtype=torch.int64, device=row.device)),
+            lambda rays: self.field.background(rays, row, index_of(rays.directions)),
             density_fn=lambda x, ray: self.field.density(x, row, index_of(x))[0],
         )
         return seen.rgb.cpu().reshape(height, finer, width, finer, 3).mean(dim=(1, 3))

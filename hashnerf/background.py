@@ -16,7 +16,7 @@ from hashnerf.rays import Rays
 from hashnerf.spherical_harmonics import spherical_harmonics
 
 PLACES = 64
-"""Places along each side of the ground's picture; half of them lie beyond the box."""
+"""Places along each side of the ground's picture; the middle half of each side is the box, and stays unused."""
 
 
 class Background(nn.Module):
