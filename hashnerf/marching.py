@@ -102,8 +102,9 @@ def march(
         thickness = lowest.mul_(dt)
         # exclusive by subtraction: rounding moves a ray's end by nothing that counts
         before = torch.cumsum(thickness, dim=1).sub_(thickness)
+        certain = torch.expm1(-thickness).neg_().mul_(torch.exp(-before))
     else:
-        before = torch.zeros_like(dt)
+        before = certain = torch.zeros_like(dt)
     if settings.stop_transmittance > 0:
         mask &= before <= -math.log(settings.stop_transmittance)
     if not settings.samples:
@@ -111,6 +112,9 @@ def march(
     hidden = usual.mul_(dt).clamp_(max=MOST_HIDDEN)
     hidden = torch.cumsum(hidden, dim=1).sub_(hidden)
     expected = torch.expm1(highest.mul_(dt).neg_()).neg_().mul_(torch.exp(hidden.neg_()))
+    # what is usual in front may not be there: a ray that skims a road passes over many cells that touch the asphalt,
+    # and must still be looked at where it is known to end
+    expected = torch.maximum(expected, certain)
     strata = Strata.of(start, dt, expected, mask, settings.samples_per_opacity, settings.samples)
     if density_fn is None or not settings.guided_per_opacity:
         return draw_samples(strata, generator)

@@ -180,6 +180,26 @@ def test_samples_are_spent_on_what_may_be_seen():
     assert share_behind(hidden) > 0, "a guess: what is behind keeps a few samples"
 
 
+@pytest.mark.parametrize(("guided", "usually_off"), [(0.0, 0.04), (6.0, 0.02)])
+def test_rays_that_skim_the_ground_meet_it(guided, usually_off):
+    # the ground reaches a little into a layer of cells: a flat ray passes over many of those before it comes down
+    def ground(positions):
+        return torch.where(positions[:, 2] < 0.51, 200.0, 0.0)
+
+    falls = torch.linspace(0.035, 0.2, 300)
+    directions = unit_directions(torch.stack([torch.ones(300), torch.zeros(300), -falls], dim=1))
+    rays = Rays(torch.tensor([[-4.9, 0.1, 0.74]]).repeat(300, 1), directions)
+    settings = MarchSettings(candidates=64, guided_per_opacity=guided)
+    samples = march(rays, grid_of(ground), settings, None, lambda positions, ray: ground(positions))
+    positions = rays.origins[:, None] + directions[:, None] * samples.t[:, :, None]
+    weights, _ = sample_weights(ground(positions.view(-1, 3)).view(samples.t.shape), samples.dt)
+    assert weights.sum(dim=1).min() > 0.9
+    met = (weights * samples.t).sum(dim=1) / weights.sum(dim=1)
+    off = (met / (0.23 / -directions[:, 2]) - 1).abs()
+    assert off.median() < usually_off
+    assert off.max() < 0.1
+
+
 def test_samples_per_ray_are_capped():
     samples = march(along_x(5), everywhere(), MarchSettings(candidates=64, samples=7, samples_per_opacity=100.0))
     assert samples.mask.shape[1] <= 7
