@@ -128,8 +128,7 @@ class LatentNerf(nn.Module):
     def picture(self, latent: Float[Tensor, " d"], cameras: Cameras, index: int) -> Float[Tensor, "h w 3"]:
         """Returns what a camera sees of the scene that one latent describes, on the CPU."""
         row = self.condition(latent[None])
-        finer, (height, width) = self.config.supersample, (cameras.height, cameras.width)
-        cameras = cameras.scaled(width * finer, height * finer).to(row.device)
+        cameras = cameras.to(row.device)
 
         def index_of(x: Tensor) -> Tensor:
             return torch.zeros(len(x), dtype=torch.int64, device=x.device)
@@ -142,5 +141,6 @@ class LatentNerf(nn.Module):
             self.config.march,
             lambda rays: self.field.background(rays, row, index_of(rays.directions)),
             density_fn=lambda x, ray: self.field.density(x, row, index_of(x))[0],
+            supersample=self.config.supersample,
         )
-        return seen.rgb.cpu().reshape(height, finer, width, finer, 3).mean(dim=(1, 3))
+        return seen.rgb.cpu().view(cameras.height, cameras.width, 3)

@@ -20,6 +20,7 @@ from hashnerf.rays import Rays
 
 FieldFn = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
 BackgroundFn = Callable[[Rays], Tensor]
+EDGE = 2.0  # distances within a pixel whose ratio is greater belong to different surfaces
 SAMPLES_AT_ONCE = 1 << 17  # without gradients the field sees this many samples at a time
 
 
@@ -88,9 +89,14 @@ def render_image(
     background_fn: BackgroundFn | None = None,
     rays_at_once: int = 8192,
     density_fn: DensityFn | None = None,
+    supersample: int = 1,
 ) -> Rendering:
-    """Render every pixel of one camera (rows h*w, row-major) without gradients, a chunk of rays at a time."""
-    rays = image_rays(cameras, index)
+    """Render every pixel of one camera (rows h*w, row-major) without gradients, a chunk of rays at a time.
+
+    A pixel is the mean over an area: with `supersample` k it gets k*k rays, evenly spaced, and their mean colour.
+    """
+    height, width = cameras.height, cameras.width
+    rays = image_rays(cameras.scaled(width * supersample, height * supersample), index)
     chunks = [
         render(
             rays.select(slice(start, start + rays_at_once)),
@@ -104,4 +110,30 @@ def render_image(
         for start in range(0, len(rays), rays_at_once)
     ]
     joined = {f.name: torch.cat([getattr(c, f.name) for c in chunks]) for f in fields(Rendering)[:-1]}
-    return Rendering(**joined, samples_evaluated=sum(chunk.samples_evaluated for chunk in chunks))
+    seen = Rendering(**joined, samples_evaluated=sum(chunk.samples_evaluated for chunk in chunks))
+    return seen if supersample == 1 else _pooled(seen, height, width, supersample)
+
+
+def _pooled(seen: Rendering, height: int, width: int, finer: int) -> Rendering:
+    """Return pixels of finer x finer rays each."""
+
+    def rays_of(values: Tensor) -> Tensor:
+        parts = values.view(height, finer, width, finer, -1).transpose(1, 2)
+        return parts.reshape(height * width, finer * finer, -1)
+
+    depth, median = (middle_distance(rays_of(values)[:, :, 0]) for values in (seen.depth, seen.median_depth))
+    rgb, opacity = rays_of(seen.rgb).mean(dim=1), rays_of(seen.opacity)[:, :, 0].mean(dim=1)
+    return Rendering(rgb, depth, median, depth.isfinite(), opacity, seen.samples_evaluated)
+
+
+def middle_distance(distances: Float[Tensor, "pixels rays"]) -> Float[Tensor, " pixels"]:
+    """Return the distance (m) in the middle of each pixel's rays, inf where most of them hit nothing.
+
+    The inverse of the distance is almost linear across the picture of a plane, so of an even number of rays the mean
+    inverse of the middle two is the pixel's centre. Two that are far apart lie on both sides of an edge, between which
+    nothing is: there the nearer one counts.
+    """
+    inverse = (1 / distances).sort(dim=1).values
+    count = inverse.shape[1]
+    farther, nearer = inverse[:, (count - 1) // 2], inverse[:, count // 2]
+    return 1 / torch.where(nearer > EDGE * farther, nearer, (nearer + farther) / 2)

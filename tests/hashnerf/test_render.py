@@ -9,7 +9,7 @@ from hashnerf.cameras import Cameras, look_at
 from hashnerf.marching import MarchSettings
 from hashnerf.occupancy import OccupancyConfig, OccupancyGrid
 from hashnerf.rays import Rays, unit_directions
-from hashnerf.render import render, render_image
+from hashnerf.render import middle_distance, render, render_image
 
 BOX = torch.tensor([[-4.0, -4.0, 0.0], [4.0, 4.0, 4.0]])
 EVERY = MarchSettings(candidates=256, samples=0)
@@ -138,6 +138,48 @@ def test_chunks_do_not_change_the_picture(monkeypatch):
     assert torch.equal(whole.depth_valid, pieces.depth_valid)
     assert whole.samples_evaluated == pieces.samples_evaluated
     assert whole.rgb.shape == (24 * 24, 3)
+
+
+def test_a_supersampled_pixel_is_the_mean_of_its_rays():
+    grid = grid_of(box_scene)
+    pixels = render_image(camera(), 0, field_of(box_scene), grid, EVERY, supersample=3)
+    fine = render_image(camera().scaled(72, 72), 0, field_of(box_scene), grid, EVERY)
+    rgb, opacity = fine.rgb.view(24, 3, 24, 3, 3), fine.opacity.view(24, 3, 24, 3)
+    by_hand = sum(rgb[:, row, :, column] for row in range(3) for column in range(3)) / 9
+    assert torch.allclose(pixels.rgb, by_hand.reshape(-1, 3), atol=1e-6)
+    assert by_hand.std() > 1e-2, "the picture must show something"
+    assert torch.allclose(pixels.opacity, opacity.mean(dim=(1, 3)).view(-1), atol=1e-6)
+    assert pixels.samples_evaluated == fine.samples_evaluated
+    assert torch.equal(pixels.depth_valid, pixels.depth.isfinite())
+
+
+def test_the_depth_of_a_supersampled_plane_is_that_of_the_pixels_centres():
+    def ground(positions):
+        return torch.where(positions[:, 2] < 1.0, 5000.0, 0.0)
+
+    grid = grid_of(ground)
+    once = render_image(camera(), 0, field_of(ground), grid, EVERY)
+    twice = render_image(camera(), 0, field_of(ground), grid, EVERY, supersample=2)
+    both = once.median_depth.isfinite() & twice.median_depth.isfinite()
+    off = (twice.median_depth - once.median_depth)[both]
+    assert both.float().mean() > 0.4
+    # samples are 3 to 4 cm apart, rays of one pixel meet the ground up to a metre apart
+    assert off.abs().median() < 0.03 and off.mean().abs() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("distances", "middle"),
+    [
+        ([1.0, 2.0, 3.0, 4.0], 2.4),  # the mean of 1/2 and 1/3 is 5/12
+        ([2.0, math.inf, math.inf, math.inf], math.inf),
+        ([math.inf, 2.0, 2.0, math.inf], 2.0),  # an edge before the sky
+        ([5.0, 1.0, 5.0, 1.0], 1.0),  # an edge before a wall
+        ([3.0, 9.0, 1.0], 3.0),
+        ([math.inf], math.inf),
+    ],
+)
+def test_the_middle_of_a_pixels_distances(distances, middle):
+    assert middle_distance(torch.tensor([distances])).item() == pytest.approx(middle)
 
 
 def test_depth_is_the_distance_along_the_ray():
