@@ -27,6 +27,9 @@ class Background(nn.Module):
         self.direction_degree = direction_degree
         inputs = direction_degree**2 + condition_size
         self.sky = nn.Linear(inputs, 3)
+        # a sky that no picture shows stays grey instead of taking some colour by chance
+        nn.init.zeros_(self.sky.weight)
+        nn.init.zeros_(self.sky.bias)
         self.ground = nn.Linear(inputs, 3) if ground else None
         if ground:
             self.register_buffer("box", box.clone(), persistent=False)

@@ -43,6 +43,11 @@ def test_the_horizon_is_sharp_and_the_sky_knows_no_place():
     assert torch.equal(first, second)
 
 
+def test_a_sky_that_no_picture_showed_is_grey():
+    sky = background()(rays((0.0, 0.0, 1.0), (1.0, 0.0, 0.1), (0.3, -1.0, 2.0)), [])
+    assert torch.equal(sky, torch.full((2, 3), 0.5))
+
+
 def test_under_the_box_nothing_is_painted():
     model = background()
     seen = rays((0.0, 0.0, 1.0), (2.0, 0.0, -1.0), (0.0, 1.9, -1.0), (4.5, 0.0, -1.0))

@@ -23,6 +23,7 @@ def samples(count):
 def trained_like(config=SMALL, size=3):
     field = Field(config, BOX, size)
     torch.nn.init.uniform_(field.hash_grid.table, -1, 1)
+    torch.nn.init.normal_(field.beyond.sky.weight, std=0.3)  # zero in a new field
     return field
 
 
