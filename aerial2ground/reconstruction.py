@@ -46,6 +46,8 @@ class ReconstructionConfig:
     view_parts: int = 0
     """With a positive number guiding looks up stored densities when views are rendered: each occupied cell is cut into
     so many parts along x and y, and `field.flatness` times as many along z; 0 asks the field."""
+    view_supersample: int = 1
+    """Rays per pixel along each axis when views are rendered, as a pixel is the mean over an area; training: one."""
     fit: FitConfig = option(default_factory=FitConfig)
     """Optimiser and batch."""
     road_prior: RoadPriorConfig = option(default_factory=RoadPriorConfig)
@@ -56,8 +58,12 @@ class ReconstructionConfig:
     """Start with an opaque ground at the roads' height; for towns on flat ground."""
     refine_poses: bool = True
     """Correct the told poses while training."""
-    pose_learning_rate: float = 0.001
-    """First step of the corrections, metres and radians."""
+    position_learning_rate: float = 0.001
+    """First step of the corrections of positions, metres."""
+    orientation_learning_rate: float = 0.001
+    """First step of the corrections of orientations, radians. A camera that turns a little and moves a little the
+    other way takes almost the same picture of a ground: told errors are shared out as the two steps are, so the steps
+    should be as the squares of those errors, where an angle counts by the distance to the ground."""
     pose_every: int = 4
     """Steps between corrections of poses: through the rays' positions, gradients cost a third of a step."""
     save_every: int = 500
@@ -66,11 +72,12 @@ class ReconstructionConfig:
     def __post_init__(self):
         if self.view_parts < 0:
             raise UserError(f"reconstruction.view_parts is {self.view_parts}; give 0 or more")
-        for key in ("steps", "pose_every", "save_every"):
+        for key in ("steps", "pose_every", "save_every", "view_supersample"):
             if getattr(self, key) < 1:
                 raise UserError(f"reconstruction.{key} is {getattr(self, key)}; give at least 1")
-        if not self.pose_learning_rate > 0:
-            raise UserError(f"reconstruction.pose_learning_rate is {self.pose_learning_rate}; give a positive number")
+        for key in ("position_learning_rate", "orientation_learning_rate"):
+            if not 0 < getattr(self, key) < math.inf:
+                raise UserError(f"reconstruction.{key} is {getattr(self, key)}; give a positive number")
 
 
 class RoadNerf(nn.Module):
@@ -84,23 +91,25 @@ class RoadNerf(nn.Module):
         self.corrections = PoseCorrections(cameras)
         self.baked: BakedDensity | None = None
 
-    def bake(self, rays: int) -> None:
-        """Stores densities, if `view_parts` asks for it and looking them up for `rays` rays is less work than asking.
+    def bake(self, pixels: int) -> None:
+        """Stores densities, if `view_parts` asks for it and looking them up for `pixels` is less work than asking.
 
         To be called again after the field has changed.
         """
         parts, march = self.config.view_parts, self.config.march
         cut = (parts, parts, max(round(parts * self.config.field.flatness), 1))
         questions = int(self.occupancy.occupied().sum()) * math.prod(cut)
-        if parts and march.guided_per_opacity and questions < rays * march.samples_per_opacity:
+        asked = march.samples_per_opacity * self.config.view_supersample
+        if parts and march.guided_per_opacity and questions < pixels * asked:
             self.baked = BakedDensity(self.occupancy, cut, lambda positions: self.field.density(positions)[0])
 
     @torch.no_grad()
     def view(self, cameras: Cameras, index: int) -> Rendering:
         """Returns what a camera sees, rows h*w in row-major order; its matrix and lens are honoured."""
-        march, fewer = self.config.march, self.config.view_samples_per_opacity
+        march, fewer, finer = self.config.march, self.config.view_samples_per_opacity, self.config.view_supersample
         if march.guided_per_opacity:
-            march = replace(march, guided_per_opacity=fewer)
+            # rays of one pixel share the first look, too
+            march = replace(march, samples_per_opacity=march.samples_per_opacity / finer, guided_per_opacity=fewer)
         else:
             march = replace(march, samples_per_opacity=fewer)
         return render_image(
@@ -111,6 +120,7 @@ class RoadNerf(nn.Module):
             march,
             self.field.background,
             density_fn=self.density,
+            supersample=finer,
         )
 
     def density(self, positions: Tensor, ray_index: Tensor) -> Tensor:
@@ -188,10 +198,15 @@ def train_road_nerf(
     pictures = PictureRays.of(data)
     prior, refine = config.road_prior, config.refine_poses
     flying_height = float(data.cameras.pose[:, 2, 3].median()) - (network.height if network else 0.0)
-    further = [{"params": list(nerf.corrections.parameters()), "start": config.pose_learning_rate}] if refine else []
+    further = [
+        {"params": [nerf.corrections.translation], "start": config.position_learning_rate},
+        {"params": [nerf.corrections.rotation], "start": config.orientation_learning_rate},
+    ]
     if config.opaque_start and network is not None:
         make_ground_opaque(nerf.field, network.height, config.fit.seed)
-    fit = FieldFit(nerf.field, nerf.occupancy, config.fit, config.march, config.steps, further=further)
+    fit = FieldFit(
+        nerf.field, nerf.occupancy, config.fit, config.march, config.steps, further=further if refine else []
+    )
 
     def draw_batch(step: int, count: int, generator: torch.Generator) -> RayBatch:
         extra = round(count * prior.share / (1 + prior.share)) if network is not None and prior.used else 0

@@ -32,6 +32,8 @@ from hashnerf.run_lock import RunLock
 
 CONFIG = "config.yaml"
 FEWEST_PICTURES = 8
+VIEWING = ("view_samples_per_opacity", "view_parts", "view_supersample")
+"""What of a reconstruction's settings may change after training: how its views are rendered."""
 
 
 @dataclass(frozen=True)
@@ -138,6 +140,8 @@ def run_reconstruction(config: AerialConfig) -> None:
     config.folder.mkdir(parents=True, exist_ok=True)
     nerf = new_nerf(config, survey.data.scene_box, len(survey.train.images))
     record = {key: plain_config(config)[key] for key in ("dataset", "image_size", "seed", "reconstruction")}
+    for key in VIEWING:
+        del record["reconstruction"][key]
     folder = config.folder / "reconstruction"
     settings = config.reconstruction
     train_road_nerf(
@@ -176,13 +180,13 @@ class SavedField:
     config: AerialConfig
     scene_box: Float[Tensor, "2 3"]
     cameras: int
-    rays: int
-    """About how many rays will be rendered."""
+    pixels: int
+    """About how many pixels will be rendered."""
 
     def __call__(self) -> Renderer:
         """Returns the renderer."""
         nerf, _ = _load_nerf(self.config, self.scene_box, self.cameras)
-        nerf.bake(self.rays)
+        nerf.bake(self.pixels)
         return nerf_renderer(nerf)
 
 
@@ -192,8 +196,8 @@ def run_ground_views(config: AerialConfig, on_view: Callable[[int, int], None] =
     wanted = {name: _disturbed_views(config, survey, name) for name in survey.trajectories}
     sets = [(cameras, config.folder / "ground" / name) for name, (_, cameras) in wanted.items()]
     workers = config.workers or usable_cores()
-    rays = sum(len(cameras) for cameras, _ in sets) * config.camera.width * config.camera.height // workers
-    field = SavedField(config, survey.data.scene_box, len(survey.train.images), rays)
+    pixels = sum(len(cameras) for cameras, _ in sets) * config.camera.width * config.camera.height // workers
+    field = SavedField(config, survey.data.scene_box, len(survey.train.images), pixels)
     with RunLock(config.folder / "ground"):
         for name, (_, folder) in zip(wanted, sets):
             begin(folder, _made_from(config, survey, name), config.overwrite)
@@ -205,7 +209,7 @@ def run_ground_views(config: AerialConfig, on_view: Callable[[int, int], None] =
 
 def _made_from(config: AerialConfig, survey: Survey, name: str) -> dict:
     plain = plain_config(config)
-    views = {key: plain["reconstruction"][key] for key in ("view_samples_per_opacity", "view_parts")}
+    views = {key: plain["reconstruction"][key] for key in VIEWING}
     return {
         "seed": config.seed,
         "imitation": {key: plain["imitation"][key] for key in ("views", "disturbance")},

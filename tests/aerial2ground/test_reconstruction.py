@@ -1,5 +1,6 @@
 """The reconstruction: rays of pictures as cameras make them, and a training that learns and corrects poses."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -98,12 +99,31 @@ def test_told_poses_can_be_kept(tiny_run):
 def test_a_finished_training_is_left_alone_and_another_config_refused(tiny_run, capsys):
     run_reconstruction(tiny_run)
     assert "already finished" in "".join(capsys.readouterr())
-    other = replace(tiny_run, reconstruction=replace(tiny_run.reconstruction, pose_learning_rate=0.5))
-    with pytest.raises(UserError, match="pose_learning_rate"):
+    other = replace(tiny_run, reconstruction=replace(tiny_run.reconstruction, position_learning_rate=0.5))
+    with pytest.raises(UserError, match="position_learning_rate"):
         run_reconstruction(other)
 
 
-@pytest.mark.parametrize("changes", [{"steps": 0}, {"save_every": 0}, {"view_parts": -1}, {"pose_learning_rate": 0.0}])
-def test_bad_settings_are_named(changes):
-    with pytest.raises(UserError, match="reconstruction"):
-        ReconstructionConfig(**changes)
+def test_how_views_are_rendered_may_change_after_training(tiny_run):
+    finer = replace(tiny_run, reconstruction=replace(tiny_run.reconstruction, view_supersample=2, view_parts=2))
+    run_reconstruction(finer)  # would be refused if the field's record held them
+    survey = load_survey(tiny_run)
+    once, twice = (load_nerf(config, survey)[0].view(survey.test.cameras, 0) for config in (tiny_run, finer))
+    assert once.rgb.shape == twice.rgb.shape and not torch.equal(once.rgb, twice.rgb)
+    assert once.samples_evaluated < twice.samples_evaluated
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("view_supersample", 0),
+        ("steps", 0),
+        ("save_every", 0),
+        ("view_parts", -1),
+        ("position_learning_rate", 0.0),
+        ("orientation_learning_rate", math.inf),
+    ],
+)
+def test_bad_settings_are_named(key, value):
+    with pytest.raises(UserError, match=f"reconstruction.{key} is"):
+        ReconstructionConfig(**{key: value})
