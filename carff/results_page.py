@@ -12,7 +12,8 @@ INTRODUCTION = """# Results
 
 Written by `python scripts/publish_results.py --runs '[RUN, ...]'` from the `report.json` of finished runs; nothing here
 is typed by hand. A target that was missed says so. The full reports hold the figures, intervals and pictures. What was
-tried and what limits the figures: [notes.md](notes.md).
+tried and what limits the figures: [notes.md](notes.md). The figures of aerial2ground:
+[aerial2ground.md](aerial2ground.md).
 """
 
 

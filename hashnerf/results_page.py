@@ -15,8 +15,12 @@ PROVENANCE = ("name", "scenario", "preset", "command", "machine", "date", "commi
 def read_reports(runs: Sequence[Path], script: str) -> list[dict]:
     """Returns the report.json of every run folder.
 
-    Raises UserError, which names the `script` that writes such reports, for a run without one, and for no run at all.
+    Raises UserError, which names the `script` that writes such reports, for a run without one, for no run at all and for
+    two folders of one name, whose copies would be one file.
     """
+    twice = [run for number, run in enumerate(runs) if run.name in [other.name for other in runs[:number]]]
+    if twice:
+        raise UserError(f"runs: {twice[0]} and another run folder have the same name; rename one of them")
     reports = [_report(run, script) for run in runs]
     if not reports:
         raise UserError("runs: name at least one run folder that holds a report.json")

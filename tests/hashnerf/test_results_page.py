@@ -53,6 +53,14 @@ def test_reports_are_read_and_copied(tmp_path):
     assert provenance([given])[2].startswith("| a name | a scenario |")
 
 
+def test_runs_of_one_name_would_share_one_copy(tmp_path):
+    for parent in ("a", "b"):
+        (tmp_path / parent / "run").mkdir(parents=True)
+        (tmp_path / parent / "run" / "report.json").write_text(json.dumps(report(0.04, True)))
+    with pytest.raises(UserError, match="have the same name"):
+        read_reports([tmp_path / "a" / "run", tmp_path / "b" / "run"], "x.py")
+
+
 def test_a_table_without_rows_leaves_no_trace():
     assert table_lines(Table(("a", "b"), ())) == []
     assert table_lines(Table(("a", "b"), (("1", "2"),), "Note.")) == [
