@@ -1,5 +1,8 @@
 """Every test runs on one thread and from the same seeds, so that a failure repeats; no test is judged by its speed."""
 
+import json
+from collections.abc import Callable
+
 import pytest
 import torch
 from hypothesis import HealthCheck, settings
@@ -15,3 +18,28 @@ settings.load_profile("house")
 def seeded() -> None:
     """Start each test from the same random numbers, whatever ran before it."""
     seed_everything(0)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Marks the tests that measure numbered rows: `pytest -m numeric` runs them alone."""
+    for item in items:
+        if "numeric_row" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.numeric)
+
+
+@pytest.fixture
+def numeric_row(
+    request: pytest.FixtureRequest, record_property: Callable[[str, object], None]
+) -> Callable[[str, str, float, float], None]:
+    """Measures a row of docs/results/numerics.md: its number, what was put in, the worst error, and what is accepted.
+
+    The row's number stands in the test's name. Where a row says yes or no, the error is the number of cases that say no,
+    and none is accepted. Several inputs of one row are several calls.
+    """
+
+    def measure(row: str, inputs: str, worst: float, accepted: float = 0.0) -> None:
+        assert row.lower() in request.node.originalname.split("_"), f"{row} is missing in the name of the test"
+        record_property("numeric_row", json.dumps([row, inputs, float(worst), float(accepted)]))
+        assert worst <= accepted, f"{row}, {inputs}: {worst} is more than {accepted}"
+
+    return measure

@@ -1,0 +1,79 @@
+"""Run the tests of the numbered rows and write docs/results/numerics.md: row, input, worst error, accepted, passed.
+
+python scripts/report_numerics.py
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+from pathlib import Path
+
+from hashnerf.command_line import parse_config, read_yaml, run_main
+from hashnerf.errors import UserError
+from hashnerf.results_page import markdown_table
+from hashnerf.run_info import commit, machine
+
+HEADER = ("row", "hazard", "input", "worst error", "accepted", "passed", "test")
+
+
+@dataclass(frozen=True)
+class NumericsConfig:
+    """Where the rows are listed and where the page goes."""
+
+    rows: Path = Path("tests/numeric_rows")
+    """Folder of YAML files with every row: what can go wrong, and why it does not apply where it does not."""
+    page: Path = Path("docs/results/numerics.md")
+    """The page to be written."""
+    processes: int = 2
+    """Tests that run at once."""
+
+
+def measure(processes: int) -> list[tuple[str, str, float, float, bool, str]]:
+    """Returns row, input, worst error, accepted error, whether its test passed, and the test."""
+    with tempfile.TemporaryDirectory() as folder:
+        report = Path(folder) / "tests.xml"
+        options = ["-m", "numeric", "-n", str(processes), f"--junitxml={report}"]
+        subprocess.run([sys.executable, "-m", "pytest", *options], check=False)
+        if not report.is_file():
+            raise UserError("pytest wrote no report; run `python -m pytest -m numeric` to see why")
+        cases = ElementTree.parse(report).iter("testcase")
+        return [
+            (*json.loads(entry.get("value")), case.find("failure") is None, f"{case.get('classname')}.{case.get('name')}")
+            for case in cases
+            for entry in case.iter("property")
+            if entry.get("name") == "numeric_row"
+        ]
+
+
+def lines_of(row: str, about: dict, measured: list) -> list[tuple[str, ...]]:
+    """Returns the table's lines of a row; raises UserError for one that is neither measured nor excused."""
+    if "reason" in about:
+        return [(row, about["hazard"], f"does not apply: {about['reason']}", "", "", "", "")]
+    own = [line for line in measured if line[0] == row]
+    if not own:
+        raise UserError(f"{row}: no test measures it; write one with the fixture numeric_row, or give a reason")
+    return [
+        (row, about["hazard"], inputs, f"{worst:.2g}", f"{accepted:.2g}", "yes" if passed else "**no**", f"`{test}`")
+        for _, inputs, worst, accepted, passed, test in own
+    ]
+
+
+def main() -> None:
+    """Measure and write the page; exit code 1 where a row fails."""
+    config = parse_config(NumericsConfig, description="Measure the numbered rows.")
+    files, measured = sorted(config.rows.glob("*.yaml")), measure(config.processes)
+    rows = {row: about for file in files for row, about in read_yaml(file).items()}
+    lines = [line for row, about in rows.items() for line in lines_of(row, about, measured)]
+    about = f"`python scripts/report_numerics.py`; {machine()}; {commit()}."
+    config.page.write_text(f"# Numbered rows\n\n{about}\n\n{markdown_table([HEADER, *lines])}\n", encoding="utf-8")
+    failed = [line[0] for line in lines if line[5] == "**no**"]
+    print(f"{config.page}: {len(rows)} rows, {len(measured)} measured, {len(failed)} failed {' '.join(failed)}")
+    if failed:
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    run_main(main)
