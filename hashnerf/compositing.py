@@ -39,8 +39,10 @@ def composite_colour(
     opacity = weights.sum(dim=1, keepdim=True)
     with torch.autocast(weights.device.type, enabled=False):  # autocast would multiply in half precision
         colour = torch.matmul(weights[:, None, :], rgb)[:, 0, :]
-    # rounding can lift opacity a little above 1: neither the background nor the sum may leave [0, 1]
-    return colour / opacity.clamp(min=1) + (1 - opacity).clamp(min=0) * background
+    # rounding can lift opacity a little above 1: the background may not turn negative. Colour and opacity are sums in
+    # different orders, so their quotient or the sum of both parts may still pass 1, but only where all is as good as
+    # white: no gradient of any worth is lost there
+    return (colour / opacity.clamp(min=1) + (1 - opacity).clamp(min=0) * background).clamp(max=1)
 
 
 def expected_depth(

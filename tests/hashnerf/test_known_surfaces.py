@@ -8,7 +8,7 @@ import torch
 from hashnerf.errors import UserError
 from hashnerf.field import Field, FieldConfig
 from hashnerf.fit import FieldFit, FitConfig, RayBatch, render_batch
-from hashnerf.known_surfaces import distance_error
+from hashnerf.known_surfaces import distance_error, standing
 from hashnerf.marching import MarchSettings
 from hashnerf.occupancy import OccupancyConfig, OccupancyGrid
 from hashnerf.rays import Rays
@@ -55,11 +55,29 @@ def test_the_distance_error_by_hand():
     assert float(distance_error(seen, torch.full((4,), torch.nan))) == 0.0
 
 
-def test_the_distance_error_has_a_finite_gradient_beside_rays_that_hit_nothing():
+def test_n32_the_distance_error_has_a_finite_gradient_beside_rays_that_hit_nothing(numeric_row):
     depth = torch.tensor([1.0, torch.inf], requires_grad=True)
     seen = dataclasses.replace(rendering([1.0, 1.0], [True, False]), depth=depth)
     distance_error(seen, torch.tensor([1.5, torch.nan])).backward()
-    assert depth.grad is not None and depth.grad.tolist() == pytest.approx([-1.0, 0.0])
+    worst = (depth.grad - torch.tensor([-1.0, 0.0])).abs().max()
+    numeric_row("N32", "distances, one of them infinite: error of the gradient", worst, 1e-6)
+
+
+def test_n32_losses_of_what_is_known_have_finite_gradients_where_nothing_is_wrong(numeric_row):
+    depth = torch.tensor([0.0, 2.0], requires_grad=True)
+    seen = dataclasses.replace(rendering([0.0, 2.0], [True, True]), depth=depth)
+    distance_error(seen, torch.tensor([0.0, 2.0])).backward()
+    broken = (~depth.grad.isfinite()).sum()
+    # e^-200 is zero in float32, e^200 far beyond what the field allows itself
+    for shift in (-200.0, 0.0, 200.0):
+        field = build().field
+        field.log_initial_density += shift
+        loss = standing(field, torch.full((5, 3), 0.5))
+        loss.backward()
+        gradients = [parameter.grad for parameter in field.parameters() if parameter.grad is not None]
+        broken += (~loss.isfinite()) + sum((~gradient.isfinite()).sum() for gradient in gradients)
+        assert gradients
+    numeric_row("N32", "equal distances, and points in air, fog and rock: not finite", broken)
 
 
 def test_known_distances_put_the_surface_there():
