@@ -61,7 +61,7 @@ def trained(sampler: TransitionSampler, folder: Path, **changes) -> MDN:
 # --- both modes are found ---
 
 
-def test_two_modes_are_recalled_with_their_weights_for_almost_every_seed(tmp_path):
+def test_n76_two_modes_are_recalled_with_their_weights_for_almost_every_seed(tmp_path, numeric_row):
     recalled = 0
     for seed in range(20):
         mdn = trained(one_step((-3.0, 3.0), seed), tmp_path / str(seed))
@@ -70,10 +70,10 @@ def test_two_modes_are_recalled_with_their_weights_for_almost_every_seed(tmp_pat
         means, weights = mixture.means[0, :, 0].sort(), mixture.log_weights[0].exp()
         near = (means.values - torch.tensor([-3.0, 3.0])).abs().max() < 0.5
         recalled += bool(near and (weights - 0.5).abs().max() < 0.1)
-    assert recalled >= 19
+    numeric_row("N76", "modes at -3 and 3: seeds of 20 that miss one or its weight", 20 - recalled, 1)
 
 
-def test_a_second_component_costs_nothing_where_there_is_one_mode(tmp_path):
+def test_n76_a_second_component_costs_nothing_where_there_is_one_mode(tmp_path, numeric_row):
     sampler = one_step((0.0, 0.0), 0)
     values = torch.randn(1, 20_000, 1, generator=torch.Generator().manual_seed(0))
     losses = []
@@ -81,7 +81,7 @@ def test_a_second_component_costs_nothing_where_there_is_one_mode(tmp_path):
         mdn = trained(sampler, tmp_path / str(components), components=components)
         with torch.no_grad():
             losses.append(float(negative_log_likelihood(mdn(torch.zeros(1, 1), torch.zeros(1, 1)), values)))
-    assert abs(losses[1] - losses[0]) < 0.05
+    numeric_row("N76", "one mode: nats between two components and one", abs(losses[1] - losses[0]), 0.05)
     assert losses[0] == pytest.approx(0.5 * math.log(2 * math.pi * math.e), abs=0.05)
 
 
@@ -239,19 +239,22 @@ def health_of(weights: list[float], means: list[float], sigma: float) -> Mixture
     return mixture_health(Fixed(mixture), one_step((-3.0, 3.0), 0))
 
 
-def test_health_of_two_modes():
+def test_n76_health_of_two_modes(numeric_row):
     health = health_of([0.5, 0.5], [-3.0, 3.0], 1.0)
     assert (health.effective_components, health.used_components) == pytest.approx((2.0, 2.0))
+    numeric_row("N76", "two modes: components in use, from 2", abs(health.used_components - 2), 1e-5)
     assert health.largest_weight == 0.5 and health.several_modes == 1.0
     # The true law: about log 2 + 1.4189 nats. One Gaussian of variance 10: 0.5 log(20 pi) + 0.5 = 2.5702 nats.
     assert health.nll == pytest.approx(math.log(2) + 1.4189, abs=0.2)
     assert health.single_nll == pytest.approx(2.5702, abs=0.2)
 
 
-def test_health_of_a_collapsed_mixture():
+def test_n76_health_of_a_collapsed_mixture(numeric_row):
     # Entropy of (0.96, 0.04): exp(0.96 * 0.040822 + 0.04 * 3.218876) = exp(0.167944) = 1.18287.
     health = health_of([0.96, 0.04], [0.0, 0.1], 3.0)
-    assert health.effective_components == pytest.approx(1.18287, abs=1e-4)
+    worst = abs(health.effective_components - 1.18287)
+    numeric_row("N76", "weights 0.96 and 0.04: components in use, from 1.18287", worst, 1e-4)
+    numeric_row("N76", "two components at one place: share of sources said to have two modes", health.several_modes)
     assert health.largest_weight == pytest.approx(0.96) and health.several_modes == 0.0
     assert health.single_nll == pytest.approx(health.nll, abs=1e-3)
 
