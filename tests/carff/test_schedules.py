@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import pytest
@@ -25,7 +26,7 @@ def test_n63_a_resumed_ramp_is_an_uninterrupted_one_and_never_falls(numeric_row)
     resumed = [delayed_linear(step * 32 / 130, *RAMP) for step in range(183, 300)]  # from epoch 45 on
     differing = sum(a != b for a, b in zip(whole[183:], resumed, strict=True))
     numeric_row("N63", "resumed at epoch 45: weights that differ", differing)
-    falling = sum(after < before for before, after in zip(whole, whole[1:]))
+    falling = sum(after < before for before, after in itertools.pairwise(whole))
     numeric_row("N63", "epochs that are no whole numbers: weights that fall", falling)
 
 
