@@ -1,3 +1,5 @@
+import json
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -40,18 +42,24 @@ def test_integer_and_float_pictures_give_the_same_matrix():
     np.testing.assert_allclose(psnr_matrix(a, b), psnr_matrix((a / 255).astype(np.float32), b), rtol=1e-5)
 
 
-def test_means_leave_out_identical_pictures_and_count_them():
+def test_n50_means_leave_out_identical_pictures_and_count_them(numeric_row):
     summary = scene_summary(_flat(0.2, 0.5), _flat(0.2, 0.6))
     # The first is identical, the second has mse 0.01; the PSNR of the mean error 0.005 is 23.01 dB.
-    assert summary["identical"] == 1
-    assert summary["psnr_matched_db"] == pytest.approx(20.0)
-    assert summary["psnr_matched_of_mean_mse_db"] == pytest.approx(23.0103, abs=1e-4)
-    assert summary["psnr_matrix_db"][0][0] is None
+    wrong = (summary["identical"] != 1) + (summary["psnr_matrix_db"][0][0] is not None)
+    numeric_row("N50", "two states, one shown perfectly: not counted, or a number", wrong)
+    numeric_row("N50", "the same: mean PSNR from 20 dB", abs(summary["psnr_matched_db"] - 20), 1e-5)
+    worst = abs(summary["psnr_matched_of_mean_mse_db"] - 23.0103)
+    numeric_row("N50", "the same: PSNR of the mean error from 23.0103 dB", worst, 1e-4)
+    json.dumps(summary, allow_nan=False)
 
 
-def test_mean_of_nothing_is_none():
-    assert mean_psnr_db(np.array([np.inf, np.nan])) is None
+def test_n53_mean_of_nothing_is_none(numeric_row):
+    numeric_row("N53", "no finite PSNR: a mean", float(mean_psnr_db(np.array([np.inf, np.nan])) is not None))
     assert np.isnan(psnr_db(np.nan))
+    summary = scene_summary(_flat(0.2, 0.3), _flat(0.5, 0.5))
+    wrong = (summary["changed_px_db"] is not None) + (summary["changed_px_count"] != 0)
+    numeric_row("N53", "two equal states, no pixel changes: a PSNR of the changed pixels", wrong)
+    json.dumps(summary, allow_nan=False)
 
 
 def test_changed_pixels_are_those_where_any_two_states_differ():

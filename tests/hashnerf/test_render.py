@@ -91,7 +91,7 @@ def test_resampled_rendering_is_close_to_dense_marching(scene):
     assert (dense.depth_valid == few.depth_valid).float().mean() > 0.97
 
 
-def test_rays_that_meet_nothing():
+def test_n26_rays_that_meet_nothing(numeric_row):
     rays = Rays(torch.tensor([[0.0, 0.0, 9.0], [0.0, 0.0, 9.0]]), torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]))
     weight = torch.tensor(2.0, requires_grad=True)
 
@@ -101,8 +101,8 @@ def test_rays_that_meet_nothing():
     grid = OccupancyGrid(OccupancyConfig(cell=1.0), BOX)
     sky = torch.tensor([[0.1, 0.2, 0.3]])
     seen = render(rays, field_fn, grid, EVERY, lambda d: sky.expand(len(d), 3))
-    assert torch.equal(seen.rgb[0], sky[0])
-    assert seen.opacity[0] == 0
+    wrong = (seen.rgb[0] != sky[0]).sum() + (seen.opacity[0] != 0)
+    numeric_row("N26", "a ray beside the box: another colour than the sky's, or opaque", wrong)
     assert seen.depth_valid.tolist() == [False, True]
     alone = render(rays.select(slice(0, 1)), field_fn, grid, EVERY, lambda d: sky.expand(len(d), 3))
     assert alone.samples_evaluated == 0
@@ -110,9 +110,9 @@ def test_rays_that_meet_nothing():
     assert weight.grad == 0, "a step without samples must still give every parameter a gradient"
 
 
-def test_no_rays():
+def test_n26_no_rays(numeric_row):
     seen = render(Rays(torch.zeros(0, 3), torch.zeros(0, 3)), field_of(nothing), grid_of(nothing, updates=1), EVERY)
-    assert seen.rgb.shape == (0, 3)
+    numeric_row("N26", "no rays: colours of another shape", float(seen.rgb.shape != (0, 3)))
 
 
 def test_the_field_sees_the_right_ray():
