@@ -193,6 +193,10 @@ def test_n74_a_search_that_would_run_off_the_end_finds_the_last_component(numeri
     numeric_row("N74", "uniform 0.99999994, each alone: not the last component", (chosen != 1).sum())
     wrong = (spread < 0).sum() + (spread > 1).sum() + (spread[0, -1] != 1)
     numeric_row("N74", "uniform 0.99999994, spread evenly: the last is not the last component", wrong)
+    # in float64 the last of three places rounds to the very end
+    alive = torch.tensor([[0.25, 0.75, 0.0]], dtype=torch.float64).log()
+    spread = spread_components(alive, torch.full((1, 1), 1 - 2.0**-53, dtype=torch.float64), 3)
+    numeric_row("N74", "uniform 1 - 2^-53, spread evenly: a dead component, or none", (spread > 1).sum())
     samples = GaussianMixture(log_weights, torch.tensor([[[-1.0], [1.0]]]), torch.full((1, 2, 1), -7.0)).sample(1000)
     numeric_row("N74", "samples that belong to no component", (samples.abs() - 1 > 0.1).sum())
 
