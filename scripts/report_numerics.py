@@ -35,17 +35,21 @@ def measure(processes: int) -> list[tuple[str, str, float, float, bool, str]]:
     """Returns row, input, worst error, accepted error, whether its test passed, and the test."""
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "tests.xml"
-        options = ["-m", "numeric", "-n", str(processes), f"--junitxml={report}"]
+        options = ["-m", "numeric", "-n", str(processes), f"--junitxml={report}", "-o", "junit_family=legacy"]
         subprocess.run([sys.executable, "-m", "pytest", *options], check=False)
         if not report.is_file():
             raise UserError("pytest wrote no report; run `python -m pytest -m numeric` to see why")
-        cases = ElementTree.parse(report).iter("testcase")
-        return [
-            (*json.loads(entry.get("value")), case.find("failure") is None, f"{case.get('classname')}.{case.get('name')}")
-            for case in cases
-            for entry in case.iter("property")
-            if entry.get("name") == "numeric_row"
-        ]
+        return [line for case in ElementTree.parse(report).iter("testcase") for line in lines_in(case)]
+
+
+def lines_in(case: ElementTree.Element) -> list[tuple[str, str, float, float, bool, str]]:
+    """Returns what one test measured; raises UserError for a test that failed before it measured anything."""
+    test = f"{case.get('classname')}.{case.get('name')}"
+    passed = case.find("failure") is None and case.find("error") is None
+    found = [json.loads(entry.get("value")) for entry in case.iter("property") if entry.get("name") == "numeric_row"]
+    if not passed and not found:
+        raise UserError(f"{test}: failed before it measured anything; run `python -m pytest -m numeric` to see why")
+    return [(*line, passed, test) for line in found]
 
 
 def lines_of(row: str, about: dict, measured: list) -> list[tuple[str, ...]]:

@@ -33,8 +33,8 @@ def numeric_row(
 ) -> Callable[[str, str, float, float], None]:
     """Measures a row of docs/results/numerics.md: its number, what was put in, the worst error, and what is accepted.
 
-    The row's number stands in the test's name. Where a row says yes or no, the error is the number of cases that say no,
-    and none is accepted. Several inputs of one row are several calls.
+    The row's number stands in the test's name. Where a row says yes or no, the error is the number of cases that say
+    no, and none is accepted. Several inputs of one row are several calls.
     """
 
     def measure(row: str, inputs: str, worst: float, accepted: float = 0.0) -> None:
