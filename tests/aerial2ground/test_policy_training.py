@@ -60,7 +60,7 @@ def test_n133_one_bad_target_does_not_spoil_the_network(numeric_row):
     network = train_network(config, pictures, place, "l1", seed=1)
     bad = sum(int((~one.isfinite()).sum()) for one in network.state_dict().values())
     numeric_row("N133", "a target that is NaN, one batch of four: weights not finite", bad)
-    with pytest.raises(UserError, match="loss.* not finite 11 times in a row") as refused:
+    with pytest.raises(UserError, match=r"loss.* not finite 11 times in a row") as refused:
         train_network(config, pictures, torch.full_like(place, torch.nan), "l1", seed=0)
     numeric_row("N133", "all targets NaN: went on", refused is None)
 

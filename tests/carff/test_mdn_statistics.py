@@ -1,4 +1,4 @@
-"""What the mixture network stores about its inputs and targets: exact far from zero, and finite where nothing varies."""
+"""What the mixture network stores about inputs and targets: exact far from zero, and finite where nothing varies."""
 
 import math
 
