@@ -81,9 +81,7 @@ def camera_rays(cameras: Cameras, camera_index: Int[Tensor, " rays"], pixel: Flo
     pose = cameras.pose[camera_index]
     # Image y points down and the camera looks along -z: the OpenGL direction is (x, -y, -1).
     direction = torch.stack([point[:, 0], -point[:, 1], -torch.ones_like(point[:, 0])], dim=-1).to(pose.dtype)
-    with torch.autocast(
-        pose.device.type, enabled=False
-    ):  # it would multiply in half precision: pixels off by whole ones
+    with torch.autocast(pose.device.type, enabled=False):  # half precision turns rays by whole pixels
         world = (pose[:, :3, :3] @ direction[:, :, None])[:, :, 0]
     return Rays(pose[:, :3, 3], unit_directions(world))
 

@@ -53,9 +53,10 @@ def test_n96_angles_for_points_by_hand(numeric_row):
 
 def test_n96_a_point_at_the_car_itself(numeric_row):
     # round a ring as long as the look-ahead the point to steer for is where the car is
-    ring, bad = circle(CONFIG.look_ahead / (2 * math.pi)), 0
+    ring, bad = circle(0.1), 0
+    config = PurePursuitConfig(look_ahead=ring.length)
     for aside in (0.0, 1e-160, 1e-30, 1e-12, 1e-6):
-        angle = steering(ring, np.array([ring.points[0, 0] + aside, aside, math.pi / 2]), CONFIG)
+        angle = steering(ring, np.array([ring.points[0, 0] + aside, aside, math.pi / 2]), config)
         bad += not abs(angle) <= CONFIG.steering_limit
     numeric_row("N96", "the point at the rear axle, five ways: not finite or beyond the limit", bad)
 
