@@ -22,6 +22,7 @@ from aerial2ground.reconstruction import PictureRays, RoadNerf
 from aerial2ground.stages import load_nerf, load_survey
 from hashnerf.cameras import Cameras
 from hashnerf.errors import UserError
+from hashnerf.finite_steps import FiniteSteps
 from hashnerf.fit import RayBatch, render_batch
 from hashnerf.metrics import psnr
 from hashnerf.model_files import weights_digest
@@ -112,7 +113,7 @@ def aligned_poses(nerf: RoadNerf, data: PosedImages, seed: int = 0) -> Float[Ten
     """Returns poses whose pictures agree best with the frozen field, found from the told ones."""
     corrections = PoseCorrections(len(data.images), fixed_gauge=False)
     optimizer = torch.optim.Adam(corrections.parameters(), lr=ALIGN_RATE)
-    pictures = PictureRays.of(data)
+    pictures, guard = PictureRays.of(data), FiniteSteps()
     for parameter in nerf.parameters():
         parameter.requires_grad_(False)
     for step in range(ALIGN_STEPS):
@@ -122,8 +123,11 @@ def aligned_poses(nerf: RoadNerf, data: PosedImages, seed: int = 0) -> Float[Ten
         optimizer.param_groups[0]["lr"] = ALIGN_RATE * (1 - step / ALIGN_STEPS)
         optimizer.zero_grad()
         seen = render_batch(nerf.field, RayBatch(rays, colour), nerf.occupancy, nerf.config.march, generator)
-        torch.nn.functional.huber_loss(seen.rgb, colour, delta=0.1).backward()
-        optimizer.step()
+        error = torch.nn.functional.huber_loss(seen.rgb, colour, delta=0.1)
+        error.backward()
+        slope = torch.nn.utils.get_total_norm([p.grad for p in corrections.parameters() if p.grad is not None])
+        if guard.accepts(step, {"colour loss": error.detach(), "gradient": slope}):
+            optimizer.step()
     for parameter in nerf.parameters():
         parameter.requires_grad_(True)
     with torch.no_grad():

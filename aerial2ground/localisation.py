@@ -80,12 +80,23 @@ def train_localiser(
     `skies` say where nothing is in the pictures, as far as that is known.
     """
     place = np.concatenate(list(poses))
+    if not len(place) or not np.isfinite(place).all():
+        raise UserError(f"{len(place)} training pictures: there is none, or a pose of one is not finite")
     centre = place[:, :2].mean(axis=0)
     scale = max(float(place[:, :2].std()), 1e-3)
-    columns = [(place[:, :2] - centre) / scale, np.sin(place[:, 2:]), np.cos(place[:, 2:])]
-    targets = torch.from_numpy(np.concatenate(columns, axis=1)).float()
+    targets = torch.from_numpy(pose_targets(place, centre, scale)).float()
     sky = None if skies is None else torch.cat(list(skies))
     return Localiser(train_network(config, torch.cat(list(pictures)), targets, loss, seed, sky), centre, scale)
+
+
+def pose_targets(
+    poses: Float[np.ndarray, "n 3"], centre: Float[np.ndarray, " 2"], scale: float
+) -> Float[np.ndarray, "n 4"]:
+    """Returns what the network is to answer: positions in its units, sine and cosine of the yaw.
+
+    No yaw has a seam then. Where it is wrong by half a turn the squared error is largest and pulls it neither way.
+    """
+    return np.concatenate([(poses[:, :2] - centre) / scale, np.sin(poses[:, 2:]), np.cos(poses[:, 2:])], axis=1)
 
 
 def save_localiser(folder: Path, localiser: Localiser, made_from: Mapping) -> None:

@@ -14,6 +14,7 @@ from torch import Tensor
 from aerial2ground.losses import LossName, answers_of, loss_of
 from aerial2ground.networks import NetworkConfig, PictureNetwork
 from hashnerf.errors import UserError
+from hashnerf.finite_steps import FiniteSteps
 
 
 @dataclass(frozen=True)
@@ -60,9 +61,9 @@ class TaskConfig:
     """Share of every weight that a step takes away, in units of the step (AdamW); 0 is Adam (paper)."""
 
     def __post_init__(self):
-        for key in ("epochs", "batch_size"):
-            if getattr(self, key) < 1:
-                raise UserError(f"task.{key} is {getattr(self, key)}; give at least 1")
+        for key, least in (("epochs", 1), ("batch_size", 2)):  # batch normalisation needs two pictures
+            if getattr(self, key) < least:
+                raise UserError(f"task.{key} is {getattr(self, key)}; give at least {least}")
         if not 0 < self.lr < math.inf:
             raise UserError(f"task.lr is {self.lr}; give a positive number")
         if not 0 <= self.weight_decay * self.lr < 1:
@@ -140,7 +141,7 @@ def train_network(
     generator = torch.Generator().manual_seed(seed)
     optimizer = torch.optim.AdamW(network.parameters(), lr=config.lr, weight_decay=config.weight_decay)
     batches = max(len(pictures) // config.batch_size, 1)
-    error = loss_of(loss)
+    error, guard = loss_of(loss), FiniteSteps()
     steps = config.epochs * batches
     for epoch in range(config.epochs):
         order = torch.randperm(len(pictures), generator=generator)
@@ -150,10 +151,16 @@ def train_network(
             above = None if sky is None else sky[rows]
             seen = augmented(as_input(pictures[rows]), config.augmentation, generator, above)
             optimizer.zero_grad(set_to_none=True)
-            error(network(seen.contiguous(memory_format=torch.channels_last)), targets[rows]).backward()
-            optimizer.step()
-    if not all(bool(value.isfinite().all()) for value in network.state_dict().values()):
-        raise UserError(f"training of a network broke down, its weights are not finite; lower task.lr ({config.lr})")
+            wrong = error(network(seen.contiguous(memory_format=torch.channels_last)), targets[rows])
+            wrong.backward()
+            slope = torch.nn.utils.get_total_norm([p.grad for p in network.parameters() if p.grad is not None])
+            if guard.accepts(epoch * batches + number, {"loss": wrong.detach(), "gradient": slope}):
+                optimizer.step()
+    # steps are skipped to the end where a network no longer answers with numbers; normalisation has learnt them all
+    if guard.in_a_row or not all(bool(value.isfinite().all()) for value in network.state_dict().values()):
+        raise UserError(
+            f"training of a network broke down, its weights or answers are not finite; lower task.lr ({config.lr})"
+        )
     return network.eval()
 
 

@@ -7,7 +7,6 @@ have zero mean (a drone that errs independently in every picture is right on ave
 
 import torch
 from jaxtyping import Float, Int
-from kornia.geometry.conversions import axis_angle_to_rotation_matrix
 from torch import Tensor, nn
 
 ORIENTATION_SHARE = 0.01
@@ -26,13 +25,38 @@ class PoseCorrections(nn.Module):
     def forward(self, poses: Float[Tensor, "n 4 4"], camera: Int[Tensor, " n"]) -> Float[Tensor, "n 4 4"]:
         """Returns corrected camera-to-world poses; differentiable in the corrections."""
         translation, rotation = self._centred(self.translation), self._centred(self.rotation)
-        turned = poses[:, :3, :3] @ axis_angle_to_rotation_matrix(rotation)[camera]
+        with torch.autocast(poses.device.type, enabled=False):  # it would multiply rotations in half precision
+            turned = poses[:, :3, :3] @ rotation_matrix(rotation)[camera]
         moved = poses[:, :3, 3] + translation[camera]
         top = torch.cat([turned, moved[:, :, None]], dim=2)
         return torch.cat([top, poses[:, 3:]], dim=1)
 
     def _centred(self, values: Tensor) -> Tensor:
         return values - values.mean(dim=0) if self.fixed_gauge else values
+
+
+def rotation_matrix(vector: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 3"]:
+    """Returns the rotations by |w| radians about w: I + a [w] + b [w]^2 with a = sin t / t, b = (1 - cos t) / t^2.
+
+    Through unit axes, as libraries have it, gradients in float32 lose up to five digits where t is a few milliradians,
+    the size of a correction. Here a and b are functions of t^2: series below 1, half angles above.
+    """
+    x, y, z = vector.unbind(-1)
+    square = x * x + y * y + z * z
+    large = square > 1
+    # each branch gets an argument that is safe for it: the gradient of what `where` leaves out is computed, too
+    s = torch.where(large, torch.ones_like(square), square)
+    a = 1 - s / 6 * (1 - s / 20 * (1 - s / 42 * (1 - s / 72 * (1 - s / 110 * (1 - s / 156 * (1 - s / 210))))))
+    b = 1 - s / 12 * (1 - s / 30 * (1 - s / 56 * (1 - s / 90 * (1 - s / 132 * (1 - s / 182 * (1 - s / 240))))))
+    angle = torch.where(large, square, torch.ones_like(square)).sqrt()
+    a = torch.where(large, torch.sin(angle) / angle, a)
+    b = torch.where(large, 2 * (torch.sin(angle / 2) / angle).square(), b / 2)
+    rows = [
+        [1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y],
+        [b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x],
+        [b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)],
+    ]
+    return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
 
 
 def rotation_angle(a: Float[Tensor, "n 3 3"], b: Float[Tensor, "n 3 3"]) -> Float[Tensor, " n"]:

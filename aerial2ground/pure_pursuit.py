@@ -58,11 +58,20 @@ def require_followable(path: Path, config: PurePursuitConfig) -> None:
 
 
 def steering(path: Path, pose: Float[np.ndarray, " 3"], config: PurePursuitConfig) -> float:
-    """Returns the steering angle of a car at (x, y, yaw)."""
+    """Returns the steering angle of a car at (x, y, yaw); raises UserError for a pose that is not finite.
+
+    Where the point lies behind, the car turns as tightly as it can: a circle through a point straight behind would be a
+    straight line that leads away from it.
+    """
+    if not np.isfinite(pose).all():
+        raise UserError(f"the car's pose {pose.tolist()} is not finite; stop the car")
     s, _ = path.nearest(pose[:2])
     target = path.at(np.array([s + config.look_ahead]))[0]
     offset = target - pose[:2]
+    ahead = math.cos(pose[2]) * offset[0] + math.sin(pose[2]) * offset[1]
     left = -math.sin(pose[2]) * offset[0] + math.cos(pose[2]) * offset[1]
+    if ahead < 0:
+        return math.copysign(config.steering_limit, left)
     square = float(offset @ offset)
     curvature = 2 * left / square if square > 1e-9 else 0.0
     angle = math.atan(config.wheelbase * curvature)
@@ -76,8 +85,14 @@ def near_path(path: Path, obstacles: Float[np.ndarray, "n 2"], config: PurePursu
 
 
 def speed(path: Path, pose: Float[np.ndarray, " 3"], near: Float[np.ndarray, " n"], config: PurePursuitConfig) -> float:
-    """Returns the speed: nominal, and less the closer ahead on the path the next of the arc lengths `near` is."""
-    ahead = near - path.nearest(pose[:2])[0]
+    """Returns the speed: nominal, and less the closer ahead on the path the next of the arc lengths `near` is.
+
+    At the end of an open path it is 0: there is nothing left to steer for.
+    """
+    place = path.nearest(pose[:2])[0]
+    if not path.closed and place >= path.length - 1e-6:
+        return 0.0
+    ahead = near - place
     ahead = np.mod(ahead, path.length) if path.closed else ahead[ahead >= 0]
     gap = float(ahead.min()) if len(ahead) else math.inf
     share = (gap - config.slow_distance / 2) / (config.slow_distance / 2)
@@ -92,6 +107,11 @@ class LowPass:
         self.value: float | None = None
 
     def __call__(self, value: float) -> float:
-        """Takes in a command; returns the filtered one."""
+        """Takes in a command; returns the filtered one.
+
+        Raises UserError for a command that is not finite and forgets it: one would stay in the average for good.
+        """
+        if not math.isfinite(value):
+            raise UserError(f"the command {value} is no steering angle; stop the car")
         self.value = value if self.value is None else (1 - self.share) * self.value + self.share * value
         return self.value

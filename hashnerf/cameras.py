@@ -81,7 +81,8 @@ def camera_rays(cameras: Cameras, camera_index: Int[Tensor, " rays"], pixel: Flo
     pose = cameras.pose[camera_index]
     # Image y points down and the camera looks along -z: the OpenGL direction is (x, -y, -1).
     direction = torch.stack([point[:, 0], -point[:, 1], -torch.ones_like(point[:, 0])], dim=-1).to(pose.dtype)
-    world = (pose[:, :3, :3] @ direction[:, :, None])[:, :, 0]
+    with torch.autocast(pose.device.type, enabled=False):  # half precision turns rays by whole pixels
+        world = (pose[:, :3, :3] @ direction[:, :, None])[:, :, 0]
     return Rays(pose[:, :3, 3], unit_directions(world))
 
 
@@ -104,7 +105,8 @@ def project(
     The pixel is NaN for points behind the camera (depth <= 0) or beyond the radius where the lens folds back.
     """
     pose = cameras.pose[camera_index]
-    local = (pose[:, :3, :3].transpose(1, 2) @ (points - pose[:, :3, 3])[:, :, None])[:, :, 0]
+    with torch.autocast(pose.device.type, enabled=False):
+        local = (pose[:, :3, :3].transpose(1, 2) @ (points - pose[:, :3, 3])[:, :, None])[:, :, 0]
     depth = -local[:, 2]
     visible = depth > 0
     safe_depth = torch.where(visible, depth, torch.ones_like(depth))

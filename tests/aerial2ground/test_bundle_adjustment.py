@@ -170,3 +170,31 @@ def test_points_seen_too_seldom_are_left_out_and_numbers_close_up(least):
 
 def test_nothing_seen():
     assert Sightings.none().points == 0
+
+
+def turned(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations by vectors, and the vectors that are read from them."""
+    n = len(vectors)
+    here = Bundle(np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)), np.zeros((0, 3)))
+    there = here.moved(np.concatenate([np.zeros((n, 3)), vectors], axis=1), np.zeros((0, 3)))
+    return there.rotation, there.from_told(here)[:, 3:]
+
+
+def test_n81_small_turns_come_back(numeric_row):
+    angles = np.array([0.0, 1e-30, 1e-12, 1e-9, 1e-6, 2e-6, 1e-5, 1e-4, 1e-3, 9.9e-3, 1.01e-2, 0.05, 0.3, 1.0, 3.0])
+    axes = np.array([(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, -0.48, 0.64)])
+    vectors = (angles[:, None, None] * axes).reshape(-1, 3)
+    numeric_row("N81", "rotation vectors of 0 to 3 rad, 4 axes", np.abs(turned(vectors)[1] - vectors).max(), 1e-6)
+
+
+def test_n82_turns_of_almost_half_a_turn_come_back_as_rotations(numeric_row):
+    axes = np.random.default_rng(0).standard_normal((100, 3))
+    axes = np.concatenate([axes / np.linalg.norm(axes, axis=1, keepdims=True), np.eye(3), -np.eye(3)])
+    vectors = np.concatenate([(np.pi - less) * axes for less in (1e-2, 1e-3, 1e-4, 1e-6, 0.0)])
+    almost = Rotation.from_quat([0.0, 1.0, 0.0, 1e-12]).as_rotvec()  # (x, y, z, w)
+    rotations, found = turned(np.concatenate([vectors, almost[None]]))
+    again = Rotation.from_rotvec(found).as_matrix()
+    numeric_row(
+        "N82", "pi less 0 to 1e-2, 106 axes: rotations", np.linalg.norm(again - rotations, axis=(1, 2)).max(), 1e-5
+    )
+    numeric_row("N82", "the same: length of the vector beyond pi", np.linalg.norm(found, axis=1).max() - np.pi, 1e-6)

@@ -35,7 +35,8 @@ def test_the_nearest_place_and_the_side():
     assert LINE.nearest(np.array([1.0, 0.5])) == (1.0, 0.5)
 
 
-@pytest.mark.parametrize("points", [[(0.0, 0.0)], [(1.0, 1.0), (1.0, 1.0)], [(0.0, 0.0), (math.nan, 1.0)]])
-def test_no_path(points):
-    with pytest.raises(UserError, match="a path"):
-        Path(np.array(points))
+@pytest.mark.parametrize("points", [[], [(0.0, 0.0)], [(1.0, 1.0), (1.0, 1.0)], [(0.0, 0.0), (math.nan, 1.0)]])
+def test_n98_no_path(numeric_row, points):
+    with pytest.raises(UserError, match="a path") as refused:
+        Path(np.array(points).reshape(-1, 2))
+    numeric_row("N98", f"{points}: taken for a path", refused is None)

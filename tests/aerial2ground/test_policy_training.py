@@ -53,6 +53,45 @@ def test_training_that_broke_down_is_not_taken_for_trained():
         train_network(TaskConfig(epochs=2, batch_size=16, lr=1e30), *bright_side(32, 0), "l1", seed=0)
 
 
+def test_n133_one_bad_target_does_not_spoil_the_network(numeric_row):
+    pictures, place = bright_side(64, 0)
+    config = TaskConfig(epochs=3, batch_size=16)
+    place[5] = torch.nan  # in one batch of four, another one every time
+    network = train_network(config, pictures, place, "l1", seed=1)
+    bad = sum(int((~one.isfinite()).sum()) for one in network.state_dict().values())
+    numeric_row("N133", "a target that is NaN, one batch of four: weights not finite", bad)
+    with pytest.raises(UserError, match=r"loss.* not finite 11 times in a row") as refused:
+        train_network(config, pictures, torch.full_like(place, torch.nan), "l1", seed=0)
+    numeric_row("N133", "all targets NaN: went on", refused is None)
+
+
+@pytest.mark.parametrize("count", [2, 3, 17, 33])
+def test_n138_no_batch_is_too_small_for_normalisation(numeric_row, count):
+    # 16 x 16 pixels are 1 x 1 after the last convolution: a batch of one would have one value a channel
+    pictures = torch.randint(256, (count, 16, 16, 3), dtype=torch.uint8)
+    network = train_network(TaskConfig(epochs=2, batch_size=16), pictures, torch.zeros(count, 1), "l1", seed=0)
+    assert not network.training
+    statistics = [one for name, one in network.state_dict().items() if "running" in name]
+    bad = sum(int((~one.isfinite()).sum()) for one in statistics)
+    numeric_row("N138", f"{count} pictures in batches of 16: running statistics not finite", bad)
+    with torch.no_grad():
+        together = network(as_input(pictures))
+        alone = torch.cat([network(as_input(one[None])) for one in pictures])
+    numeric_row("N138", f"{count} pictures, each alone and all at once", float((together - alone).abs().max()), 1e-6)
+
+
+def test_n139_the_papers_step_does_not_diverge(numeric_row):
+    # three convolutions instead of five: what may diverge is the step, and two thousand of them take their time
+    shallow, plain = NetworkConfig(layers=3), AugmentationConfig(*[0.0] * 6)
+    config = TaskConfig(shallow, plain, epochs=20, batch_size=8)
+    broken = 0
+    for seed in range(20):
+        pictures = torch.randint(256, (40, 8, 8, 3), dtype=torch.uint8)
+        network = train_network(config, pictures, torch.randn(40, 4), "l2", seed)
+        broken += not all(bool(one.isfinite().all()) for one in network.state_dict().values())
+    numeric_row("N139", "Adam at 0.01, 20 seeds, 100 steps of noise: networks not finite", broken)
+
+
 def test_augmentation_keeps_the_range_and_the_depth():
     pictures = torch.rand(16, 4, 20, 24, generator=torch.Generator().manual_seed(0))
     changed = augmented(pictures, AugmentationConfig(row_jitter=0.0), torch.Generator().manual_seed(1))
@@ -80,7 +119,7 @@ def test_some_rows_show_what_the_row_above_shows_in_all_channels_and_in_the_sky(
     assert torch.equal(torch.where(ground, seen[:, :3], 0.0), torch.where(ground, changed[:, :3], 0.0))
 
 
-def test_one_picture_is_too_few():
+def test_n138_one_picture_is_too_few():
     with pytest.raises(UserError, match="1 training pictures are too few"):
         train_network(TaskConfig(), *bright_side(1, 0), "l1", 0)
 
@@ -89,6 +128,7 @@ def test_one_picture_is_too_few():
     "build, key",
     [
         (lambda: TaskConfig(epochs=0), "task.epochs"),
+        (lambda: TaskConfig(batch_size=1), "task.batch_size is 1; give at least 2"),
         (lambda: TaskConfig(lr=0.0), "task.lr"),
         (lambda: TaskConfig(weight_decay=-0.1), "task.weight_decay"),
         (lambda: TaskConfig(weight_decay=float("nan")), "task.weight_decay"),

@@ -72,6 +72,27 @@ def test_a_car_carried_elsewhere_is_found_again():
     assert abs(found[3][1]) < 0.05
 
 
+@pytest.mark.parametrize("jump", [(2.0, 0.0), (0.0, 2.0), (0.0, 5.0)])
+def test_n113_a_lasting_jump_is_followed(numeric_row, jump):
+    tracker = PoseTracker(CONFIG)
+    follow(tracker, [along(tick) for tick in range(300)])
+    found = follow(tracker, [along(tick, jump) for tick in range(300, 400)])
+    there = [np.linalg.norm((pose - along(tick, jump))[:2]) < 0.1 for tick, pose in enumerate(found, 300)]
+    assert all(there[there.index(True) :]), "and not left again"
+    # as the documentation of the tracker has it: 0.7 of the memory and three pictures
+    limit = (0.7 * CONFIG.memory + 3) / 10
+    numeric_row(
+        "N113", f"{jump} m off for 100 pictures at 10 Hz: seconds until found", (there.index(True) + 1) / 10, limit
+    )
+
+
+def test_n113_a_jump_of_one_picture_moves_nothing(numeric_row):
+    tracker = PoseTracker(CONFIG)
+    before = follow(tracker, [along(tick) for tick in range(60)])[-1]
+    tracker.update(along(59, (0.0, 2.0)))
+    numeric_row("N113", "2 m off for one picture: metres moved", np.linalg.norm((tracker.pose - before)[:2]), 0.01)
+
+
 def test_ideas_that_meet_become_one():
     tracker = PoseTracker(CONFIG)
     follow(tracker, [along(0), along(1) + np.array([1.5, 0.0, 0.0])] + [along(tick) for tick in range(2, 40)])

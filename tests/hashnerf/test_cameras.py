@@ -56,7 +56,7 @@ def test_a_car_camera_sees_left_on_the_left():
 @pytest.mark.parametrize(
     "distortion", [(0.0, 0, 0, 0), (-0.1, 0.02, 1e-3, -2e-3), (0.5, 0.2, 0, 0), (-0.35, 0.15, 0, 0)]
 )
-def test_projection_inverts_rays_to_a_thousandth_of_a_pixel(distortion):
+def test_n122_projection_inverts_rays_to_a_thousandth_of_a_pixel(numeric_row, distortion):
     cameras = _photo_cameras(tuple(map(float, distortion)))
     generator = torch.Generator().manual_seed(3)
     index = torch.randint(3, (2000,), generator=generator)
@@ -64,7 +64,11 @@ def test_projection_inverts_rays_to_a_thousandth_of_a_pixel(distortion):
     rays = camera_rays(cameras, index, pixel)
     distance = 1 + 50 * torch.rand(2000, 1, generator=generator)
     again, depth = project(cameras, index, rays.origins + distance * rays.directions)
-    assert (again - pixel).abs().max() <= 1e-3
+    numeric_row("N122", f"2000 pixels through the lens {distortion}", float((again - pixel).abs().max()), 1e-3)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        low = camera_rays(cameras, index, pixel)
+        assert torch.equal(low.directions, rays.directions), "in single precision also under autocast"
+        assert torch.equal(project(cameras, index, rays.origins + distance * rays.directions)[0], again)
     forward = -cameras.pose[index, :3, 2]
     torch.testing.assert_close(depth, distance[:, 0] * (rays.directions * forward).sum(-1), rtol=1e-4, atol=1e-4)
 
@@ -94,7 +98,7 @@ def test_a_lens_that_folds_is_refused_at_the_pixel_and_hidden_in_projection():
     assert torch.isnan(pixel).all() and float(depth) == pytest.approx(1, abs=1e-5)
 
 
-def test_scaling_moves_a_point_with_the_image():
+def test_n121_scaling_moves_a_point_with_the_image(numeric_row):
     # With centres at +.5, a point at pixel (u, v) lands at (u/4, v/2) in an image a quarter as wide and half as high.
     cameras = _photo_cameras((-0.1, 0.02, 1e-3, -2e-3))
     small = cameras.scaled(160, 240)
@@ -103,6 +107,11 @@ def test_scaling_moves_a_point_with_the_image():
     full, _ = project(cameras, index, points)
     shrunk, _ = project(small, index, points)
     torch.testing.assert_close(shrunk * torch.tensor([4.0, 2.0]), full)
+    off = max(
+        float((a * torch.tensor([4.0, 2.0]) - b).abs().max())
+        for a, b in ((small.focal, cameras.focal), (small.centre, cameras.centre))
+    )
+    numeric_row("N121", "a quarter as wide, half as high: focal length and centre", off, 0.0)
     assert (small.width, small.height) == (160, 240)
 
 

@@ -64,6 +64,19 @@ def test_bfloat16_is_close_and_returns_float32():
         assert (a - b).norm() / b.norm() < 0.1
 
 
+def test_n131_weights_multiplied_in_half_precision_move_by_small_steps(numeric_row):
+    network = MLP(4, 8, 0, 2, low_precision=True)  # of one layer: its gradient stays the same
+    for weight in network.weights:
+        torch.nn.init.ones_(weight)
+    optimizer = torch.optim.Adam(network.parameters(), lr=1e-3)
+    for _ in range(100):
+        optimizer.zero_grad()
+        network([torch.ones(16, 4)]).sum().backward()
+        optimizer.step()
+    off = max(float((weight - 0.9).detach().abs().max()) for weight in network.weights)
+    numeric_row("N131", "100 steps of Adam at 1e-3 from 1: off 0.9", off, 1e-3)
+
+
 @pytest.mark.parametrize("low", [False, True])
 def test_an_outer_autocast_changes_nothing(low):
     network = MLP(6, 16, 2, 3, low)

@@ -222,15 +222,19 @@ BAD_FRAMES = {
     "same file": ({"file_path": "images/../images/b0_s0_c0.png"}, "has the same picture file as frame 0"),
     "leak": ({"split": "val"}, "camera 1 is in the splits train and val; each camera belongs to one split"),
 }
+ROWS = {"scaled pose": "N84", "swapped": "N121", "size": "N121", "focal": "N121", "centre": "N121"}
 
 
 @pytest.mark.parametrize("case", sorted(BAD_FRAMES))
-def test_a_bad_frame_is_named(folder, case):
+def test_n84_n121_a_bad_frame_is_named(folder, case, numeric_row):
     change, sentence = BAD_FRAMES[case]
     _edit(folder, lambda document: document["frames"][4].update(change))
     problems = _problems(folder)
     assert any(sentence in problem for problem in problems), problems
-    assert any("frame 4 (" in problem or "camera 1" in problem for problem in problems)
+    unnamed = not any("frame 4 (" in problem or "camera 1" in problem for problem in problems)
+    assert not unnamed
+    if case in ROWS:
+        numeric_row(ROWS[case], f"{case} of a frame: not named with its frame", unnamed)
 
 
 @pytest.mark.parametrize(
@@ -290,10 +294,12 @@ def test_pictures_of_several_sizes_are_reported_without_stated_sizes(folder):
         ),
     ],
 )
-def test_a_bad_document_is_named(folder, change, sentence):
+def test_n123_a_bad_document_is_named(folder, change, sentence, numeric_row):
     _edit(folder, change)
     (problem,) = _problems(folder)
     assert sentence in problem
+    if "at least one frame" in sentence:
+        numeric_row("N123", "no frame at all: not named", sentence not in problem)
 
 
 def test_keys_of_other_tools_load(folder):

@@ -30,17 +30,30 @@ def _changed(row, column, value):
 
 
 @pytest.mark.parametrize("decimals, error", [(5, 7.9e-6), (4, 1e-4), (16, 1e-15)])
-def test_rounded_rotations_are_projected(decimals, error):
+def test_n84_rounded_rotations_are_projected(numeric_row, decimals, error):
     rotation = _rotation(0)
     pose, problem = read_pose(_pose(np.round(rotation, decimals)))
     assert problem is None
-    assert np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max() < 1e-14
+    left = np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max()
+    numeric_row("N84", f"{decimals} decimals: error of R'R that is left", left, 1e-14)
     assert np.abs(pose[:3, :3] - rotation).max() < 2 * error + 1e-15
     assert pose[:3, 3].tolist() == [1, 2, 3]
 
 
-def test_half_precision_rotations_are_projected():
-    assert read_pose(_pose(_rotation(1).astype(np.float16).astype(float)))[1] is None
+def test_n84_half_precision_rotations_are_projected(numeric_row):
+    pose, problem = read_pose(_pose(_rotation(1).astype(np.float16).astype(float)))
+    assert problem is None
+    numeric_row("N84", "stored as float16: error left", np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max(), 1e-14)
+
+
+def test_n83_many_products_drift_and_are_projected(numeric_row):
+    turn, product = _rotation(2).astype(np.float32), np.eye(3, dtype=np.float32)
+    for _ in range(100_000):
+        product = product @ turn
+    assert np.abs(product.T @ product - np.eye(3)).max() > 1e-4, "without the projection"
+    found = nearest_rotation(product.astype(float))
+    numeric_row("N83", "100,000 products in float32", np.abs(found.T @ found - np.eye(3)).max(), 1e-6)
+    assert np.linalg.det(found) == pytest.approx(1.0)
 
 
 @settings(deadline=None, max_examples=50)
@@ -79,9 +92,9 @@ def test_nearest_rotation_beats_every_nearby_one(seed):
         (_pose(np.zeros((3, 3))), "not rigid"),
     ],
 )
-def test_a_bad_pose_is_named(value, sentence):
+def test_n84_a_bad_pose_is_named(numeric_row, value, sentence):
     pose, problem = read_pose(value)
-    assert pose is None and sentence in problem
+    numeric_row("N84", f"a pose that {sentence}: taken in", pose is not None or sentence not in problem)
 
 
 def test_the_origin_moves_only_far_scenes():
@@ -99,6 +112,14 @@ def test_the_default_box_holds_cameras_and_what_they_see():
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_the_default_box_of_cameras_in_one_place_has_a_volume(count):
+def test_n123_the_default_box_of_cameras_in_one_place_has_a_volume(numeric_row, count):
     box = default_scene_box(np.stack([np.array(IDENTITY)] * count))
-    np.testing.assert_allclose(box, [[-0.1, -0.1, -1.1], [0.1, 0.1, 0.1]])
+    off = np.abs(box - [[-0.1, -0.1, -1.1], [0.1, 0.1, 0.1]]).max()
+    numeric_row("N123", f"{count} cameras in one place: scene box, metres", off, 1e-6)
+
+
+def test_n123_a_camera_beyond_all_maps_is_refused(numeric_row):
+    taken = [place for place in (1e9, -1e9, 1e7 + 1) if read_pose(_changed(1, 3, place))[0] is not None]
+    numeric_row("N123", "one camera at 1e9 m: taken in", len(taken))
+    positions = np.array([[0.0, 0.0, 0.0], [1e7, 0.0, 0.0]])
+    assert np.isfinite(scene_origin(positions)).all() and np.isfinite(scene_origin(positions[:1])).all()

@@ -15,12 +15,14 @@ def module(value=1.0, dtype=torch.float32):
 
 
 @pytest.mark.parametrize("decay", [0.0, 0.5, 0.95, 0.9999])
-def test_constant_weights_are_their_own_average(decay):
+def test_n136_constant_weights_are_their_own_average(numeric_row, decay):
     model = module(3.7)
     average = WeightAverage(model, decay)
+    worst = 0.0
     for _ in range(10):
         average.update()
-        assert (average.averages[0] - 3.7).abs().max() < 1e-6
+        worst = max(worst, float((average.averages[0] - 3.7).abs().max()))
+    numeric_row("N136", f"constant weights, decay {decay:g}, 10 steps", worst, 1e-6)
 
 
 def test_equals_the_weighted_sum():
@@ -37,7 +39,7 @@ def test_equals_the_weighted_sum():
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
-def test_half_weights_do_not_stall(dtype):
+def test_n137_half_weights_do_not_stall(numeric_row, dtype):
     model = module(0.0, dtype)
     average = WeightAverage(model, 0.999)
     average.update()
@@ -45,7 +47,7 @@ def test_half_weights_do_not_stall(dtype):
     for _ in range(20_000):
         average.update()
     assert average.averages[0].dtype == torch.float32
-    assert average.averages[0].min() >= 0.999
+    numeric_row("N137", f"weights in {dtype}, 20,000 steps: missing", 1 - float(average.averages[0].min()), 1e-3)
 
 
 def test_applied_swaps_and_restores():

@@ -8,10 +8,25 @@ from hypothesis import strategies as st
 from worlds.boxes import Box, Pose, box_at, wrap_angle
 
 
-def test_wrap_angle():
+def test_n91_n92_wrap_angle(numeric_row):
     assert wrap_angle(-math.pi) == math.pi
+    wanted = {1e4 * 2 * math.pi + 0.3: 0.3, -1e4 * 2 * math.pi - 0.3: -0.3, 0.0: 0.0, 2 * math.pi: 0.0}
+    # 1e8 less 15,915,494 turns, in 50 digits
+    wanted[1e8] = 1.9426951345040145
+    off = max(abs(wrap_angle(angle) - exact) for angle, exact in wanted.items())
+    numeric_row("N91", "0.3 after 10,000 turns either way, 0, 2 pi and 1e8", off, 1e-6)
+    half = [math.pi, float(np.float32(math.pi)), math.nextafter(math.pi, 4), math.nextafter(math.pi, 0), 3 * math.pi]
+    outside = sum(not -math.pi < wrap_angle(sign * angle) <= math.pi for angle in half for sign in (1, -1))
+    numeric_row("N92", "pi of both precisions, its neighbours and 3 pi, both signs: outside (-pi, pi]", outside)
     assert wrap_angle(3 * math.pi / 2) == pytest.approx(-math.pi / 2)
     assert wrap_angle(0.3) == pytest.approx(0.3)
+
+
+@given(st.floats(-1e9, 1e9))
+def test_a_wrapped_angle_points_the_same_way(angle):
+    wrapped = wrap_angle(angle)
+    assert -math.pi < wrapped <= math.pi
+    assert math.cos(wrapped - angle) == pytest.approx(1.0, abs=1e-9)
 
 
 def test_box_stands_on_its_pose():

@@ -30,11 +30,11 @@ def circle(time: np.ndarray, radius: float, speed: float) -> np.ndarray:
     return np.column_stack([radius * np.sin(turned), radius * (1 - np.cos(turned)), yaw])
 
 
-def test_a_constant_yaw_rate_is_exact_through_many_turns():
+def test_n116_a_constant_yaw_rate_is_exact_through_many_turns(numeric_row):
     time = uneven_times(30.0)
     told = readings(time, circle(time, 1.0, 1.0), **PERFECT)
     assert len(told.time) == 3000 and told.time[0] == pytest.approx(0.01) and told.time[-1] == pytest.approx(30.0)
-    assert np.abs(told.yaw_rate - 1.0).max() < 1e-9
+    numeric_row("N116", "a circle at 1 rad/s for 30 s: yaw rate", np.abs(told.yaw_rate - 1.0).max(), 1e-9)
 
 
 def test_a_constant_acceleration_is_exact_in_the_cars_frame():
@@ -46,12 +46,13 @@ def test_a_constant_acceleration_is_exact_in_the_cars_frame():
     assert np.abs(told.yaw_rate).max() < 1e-12
 
 
-def test_on_a_circle_the_acceleration_points_to_its_centre():
+def test_n116_on_a_circle_the_acceleration_points_to_its_centre(numeric_row):
     # 0.8 m/s on a radius of 0.5 m: 1.28 m/s^2 to the left, nothing forward
     time = np.linspace(0.0, 5.0, 2001)
     told = readings(time, circle(time, 0.5, 0.8), **PERFECT)
     inner = slice(2, -2)  # one-sided differences at the ends
-    assert np.abs(told.acceleration[inner] - [0.0, 1.28]).max() < 1e-4
+    off = np.abs(told.acceleration[inner] - [0.0, 1.28]).max()
+    numeric_row("N116", "a left turn of 1.28 m/s^2: forward and left, no gravity", off, 1e-4)
 
 
 def test_readings_add_up_to_the_turn_and_to_the_change_of_speed():
