@@ -20,7 +20,7 @@ BOX = np.array([[-3.0, -3.0, -1.0], [3.0, 3.0, 2.0]])
 def pictures_at(folder, shift):
     """What every camera sees of one random field, the whole data set moved by a shift (m)."""
     frames = []
-    for camera, place in enumerate([(5.0, 1.0, 2.0), (-2.0, 4.0, 1.5), (0.5, -5.0, 3.0)]):
+    for camera, place in enumerate([(5.13, 1.21, 2.07), (-2.29, 4.17, 1.58), (0.71, -5.33, 3.14)]):
         name = f"images/{camera}.png"
         write_png(folder / name, np.full((SIZE, SIZE, 3), 40 * camera, np.uint8))
         pose = look_at(place, (0, 0, 0.5)).double().numpy()
