@@ -25,6 +25,7 @@ from hashnerf.errors import UserError
 INITIAL_RANGE = 1e-4
 # 2654435761 as a signed 32-bit number: the hash of Instant-NGP is a product modulo 2^32, which int32 gives by wrapping
 PRIMES = (1, 2654435761 - (1 << 32), 805459861)
+MOST_NUMBERS = 1 << 31  # of one level: places within a level are computed in 32 bits
 
 
 @dataclass(frozen=True)
@@ -213,6 +214,11 @@ class HashGrid(nn.Module):
         )
         self.register_buffer("box", box.detach().clone(), persistent=False)
         last = self.plan[-1]
+        if max(level.entries for level in self.plan) * features > MOST_NUMBERS:
+            raise UserError(
+                f"a hash grid level of {last.entries} entries with features_per_level {features} holds more than "
+                f"{MOST_NUMBERS} numbers: use a smaller log2_table_size or fewer features"
+            )
         numbers = last.offset + last.entries * features
         self.table = nn.Parameter(torch.empty(numbers).uniform_(-INITIAL_RANGE, INITIAL_RANGE))
         last_cells = [[count - 2 for count in level.vertices] for level in self.plan]

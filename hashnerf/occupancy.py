@@ -80,7 +80,7 @@ class OccupancyGrid(nn.Module):
         self.register_buffer("usual", torch.zeros(cells))
         self.register_buffer("updates", torch.zeros((), dtype=torch.int64))
         self.register_buffer("rejected", torch.zeros((), dtype=torch.int64))
-        self.warned = False
+        self.warned = self.warned_of_rejected = False
 
     def cell_index(self, positions: Float[Tensor, "n 3"]) -> Int[Tensor, " n"]:
         """Index of the cell of each position (m); positions outside the box count to the nearest cell."""
@@ -150,6 +150,9 @@ class OccupancyGrid(nn.Module):
         for chunk in cells.split(CHUNK // self.config.points):
             self._update_cells(chunk, visit, density_bank)
         self.updates += 1
+        if not self.warned_of_rejected and int(self.rejected):
+            LOG.warning("a density is not finite: its cells keep what they held, and `rejected` counts them")
+            self.warned_of_rejected = True
 
     def _update_cells(self, cells: Tensor, visit: int, density_bank: Callable) -> None:
         highest = torch.zeros(len(cells), device=cells.device)

@@ -32,7 +32,7 @@ def intersect_box(
     leave = torch.where(parallel, torch.where(between, torch.inf, -torch.inf), torch.maximum(first, second))
     near = enter.amax(dim=1).clamp(min=near_min)
     far = leave.amin(dim=1)
-    missed = far < near
+    missed = ~(far >= near)  # a ray that is not a number misses, too
     near = torch.where(missed, near_min, near).to(origins.dtype)
     far = torch.where(missed, near_min, far).to(origins.dtype)
     return near, far, far > near

@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from hashnerf.activations import at_least_float32
 from hashnerf.errors import UserError
 
 
@@ -25,7 +26,11 @@ class Rays:
 
 
 def unit_directions(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
-    """Scales vectors of any finite magnitude to length 1; raises UserError where one is zero or not finite."""
+    """Scales vectors of any finite magnitude to length 1; raises UserError where one is zero or not finite.
+
+    Half-precision vectors give float32 directions: three roundings in half precision would bend them.
+    """
+    vectors = at_least_float32(vectors)
     # Dividing by the largest component first keeps the squares of 1e-30 and 1e20 inside float32.
     largest = vectors.detach().abs().amax(dim=-1, keepdim=True)
     if not bool(((largest > 0) & torch.isfinite(largest)).all()):

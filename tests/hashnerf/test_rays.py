@@ -11,26 +11,75 @@ from hashnerf.rays import Rays, unit_directions
 COMPONENT = st.floats(min_value=-(2.0**100), max_value=2.0**100, width=32)
 
 
-@pytest.mark.parametrize(
-    "vector, expected",
-    [
-        ([3.0, 0.0, 4.0], [0.6, 0.0, 0.8]),  # 3-4-5
-        ([1e-30, 0.0, 0.0], [1.0, 0.0, 0.0]),  # its square underflows float32
-        ([1e-20, 1e-20, 0.0], [0.5**0.5, 0.5**0.5, 0.0]),
-        ([1e20, 0.0, 0.0], [1.0, 0.0, 0.0]),  # its square overflows float32
-        ([0.0, -3e38, 3e38], [0.0, -(0.5**0.5), 0.5**0.5]),
-        ([1e-42, 0.0, -1e-42], [0.5**0.5, 0.0, -(0.5**0.5)]),  # subnormal
-    ],
+EXTREMES = (
+    [3.0, 0.0, 4.0],
+    [1e-30, 0.0, 0.0],  # its square underflows float32
+    [1e-20, 1e-20, 0.0],
+    [1e20, 0.0, 0.0],  # its square overflows float32
+    [0.0, -3e38, 3e38],
+    [1e-42, 0.0, -1e-42],  # subnormal
 )
-def test_extreme_magnitudes_become_unit_length(vector, expected):
-    result = unit_directions(torch.tensor([vector]))
-    torch.testing.assert_close(result, torch.tensor([expected]), atol=1e-6, rtol=0)
+HALVES = {torch.float16: 1e-3, torch.bfloat16: 8e-3}
 
 
-@pytest.mark.parametrize("vector", [[0.0, 0.0, 0.0], [torch.nan, 0.0, 0.0], [0.0, torch.inf, 0.0]])
-def test_zero_and_non_finite_directions_are_refused(vector):
-    with pytest.raises(UserError, match="direction is zero or not finite"):
-        unit_directions(torch.tensor([[1.0, 0.0, 0.0], vector]))
+def exact_unit(vectors):
+    """Directions and their Jacobians (I - uu')/|v| in float64."""
+    vectors = vectors.double()
+    length = vectors.norm(dim=-1, keepdim=True)
+    unit = vectors / length
+    jacobian = torch.eye(3, dtype=torch.float64) - unit[:, :, None] * unit[:, None]
+    return unit, jacobian / length[:, :, None]
+
+
+def test_n13_extreme_magnitudes_become_unit_length(numeric_row):
+    vectors = torch.tensor(EXTREMES)
+    result, (exact, _) = unit_directions(vectors).double(), exact_unit(vectors)
+    assert result[0].tolist() == pytest.approx([0.6, 0.0, 0.8])  # 3-4-5
+    numeric_row("N13", "1e-42 to 3e38: length against 1", (result.norm(dim=1) - 1).abs().max().item(), 1e-6)
+    numeric_row("N13", "1e-42 to 3e38: components against float64", (result - exact).abs().max().item(), 1e-6)
+
+
+def test_n13_a_gradient_is_at_most_one_over_the_length(numeric_row):
+    # without the subnormal vector and the greatest one, whose gradients float32 cannot hold
+    vectors = torch.tensor([*EXTREMES[:4], [1e-10, 0.0, 0.0], [3e15, -4e15, 1.0]])
+    leaf = vectors.clone().requires_grad_()
+    rows = [torch.autograd.grad(unit_directions(leaf)[:, axis].sum(), leaf)[0] for axis in range(3)]
+    (_, exact), length = exact_unit(vectors), vectors.double().norm(dim=1)
+    jacobian = torch.stack(rows, dim=1).double()
+    numeric_row(
+        "N13", "1e-30 to 1e20: gradient times length", (torch.linalg.matrix_norm(jacobian, 2) * length).max(), 1 + 1e-6
+    )
+    numeric_row(
+        "N13", "error of the gradient times length", ((jacobian - exact).abs().amax(dim=(1, 2)) * length).max(), 1e-4
+    )
+
+
+def test_n13_zero_and_non_finite_directions_are_refused(numeric_row):
+    bad = [
+        [0.0, 0.0, 0.0],
+        [torch.nan, 0.0, 0.0],
+        [0.0, torch.inf, 0.0],
+        [-0.0, 0.0, -0.0],
+        [1.0, -torch.inf, torch.nan],
+    ]
+    for vector in bad:
+        with pytest.raises(UserError, match="direction is zero or not finite"):
+            unit_directions(torch.tensor([[1.0, 0.0, 0.0], vector]))
+    numeric_row("N13", "zero, NaN and infinities: UserError", 0)
+
+
+def test_n13_half_precision_is_upcast(numeric_row):
+    worst = 0.0
+    for dtype, one_cast in HALVES.items():
+        vectors = (torch.randn(10_000, 3) * torch.exp(3 * torch.randn(10_000, 1))).to(dtype)
+        vectors = vectors[(vectors != 0).any(dim=1) & vectors.isfinite().all(dim=1)]
+        plain = unit_directions(vectors.float())
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            result = unit_directions(vectors)
+            assert torch.equal(unit_directions(vectors.float()), plain)
+        allowed = one_cast * plain.abs() + 1e-6
+        worst = max(worst, ((result.float() - plain).abs() / allowed).max().item())
+    numeric_row("N13", "float16 and bfloat16 vectors: error over that of one cast", worst, 1.0)
 
 
 @given(st.tuples(COMPONENT, COMPONENT, COMPONENT).filter(any))
@@ -44,13 +93,6 @@ def test_any_direction_keeps_its_sense_and_gets_length_one(vector):
 def test_gradient_matches_finite_differences():
     vectors = torch.tensor([[0.3, -2.0, 5.0], [1e-3, 2e-3, 0.0]], dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(unit_directions, (vectors,), eps=1e-7)
-
-
-def test_gradient_is_at_most_one_over_the_length():
-    # d(v/|v|)/dv = (I - vv'/|v|^2)/|v|: along x the derivative of y is 1/|v| = 1e10, along x itself 0.
-    vector = torch.tensor([[1e-10, 0.0, 0.0]], requires_grad=True)
-    unit_directions(vector)[0, 1].backward()
-    torch.testing.assert_close(vector.grad, torch.tensor([[0.0, 1e10, 0.0]]), rtol=1e-5, atol=0)
 
 
 def test_rays_are_selected_by_rows_mask_and_slice():
