@@ -28,10 +28,11 @@ def test_a_network_learns_where_a_bar_is(loss):
     assert float(error) < 0.12
 
 
-def test_training_repeats_with_the_seed():
+def test_k26_training_repeats_with_the_seed(numeric_row):
     config = TaskConfig(epochs=2, batch_size=16)
     one, two, other = (train_network(config, *bright_side(32, 0), "l1", seed) for seed in (0, 0, 1))
-    assert all(torch.equal(a, b) for a, b in zip(one.state_dict().values(), two.state_dict().values()))
+    different = sum(not torch.equal(a, b) for a, b in zip(one.state_dict().values(), two.state_dict().values()))
+    numeric_row("K26", "a policy trained twice from one seed: tensors that differ", different)
     assert any(not torch.equal(a, b) for a, b in zip(one.state_dict().values(), other.state_dict().values()))
 
 
@@ -51,6 +52,33 @@ def test_decay_takes_its_share_of_every_weight():
 def test_training_that_broke_down_is_not_taken_for_trained():
     with pytest.raises(UserError, match=r"broke down.*lower task.lr"):
         train_network(TaskConfig(epochs=2, batch_size=16, lr=1e30), *bright_side(32, 0), "l1", seed=0)
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_k20_a_target_that_is_no_number_is_named_before_training(bad, numeric_row):
+    pictures, targets = bright_side(32, 0)
+    targets[5] = bad
+    trained = []
+    with pytest.raises(UserError, match=r"1 training targets are not finite, the first that of picture 5"):
+        trained.append(train_network(TaskConfig(epochs=1, batch_size=16), pictures, targets, "l1", seed=0))
+    numeric_row("K20", f"a policy's target of {bad}: trained all the same", len(trained))
+
+
+def test_k20_one_gradient_that_is_no_number_leaves_the_policy_as_good_as_without(monkeypatch, numeric_row):
+    config, steps = TaskConfig(epochs=2, batch_size=8), []
+
+    def poisoned(gradients):
+        steps.append(len(steps))
+        return torch.tensor(float("nan")) if len(steps) == 3 else torch.tensor(1.0)
+
+    monkeypatch.setattr("aerial2ground.policy_training.get_total_norm", poisoned)
+    monkeypatch.setattr(torch.optim.AdamW, "step", lambda self, whole=torch.optim.AdamW.step: taken.append(whole(self)))
+    taken: list = []
+    train_network(config, *bright_side(32, 0), "l1", seed=0)
+    numeric_row("K20", "NaN gradient at step 2 of 8: steps taken that should not be", abs(len(taken) - 7))
+    with pytest.raises(UserError, match=r"broke down at step 10: gradient not finite"):
+        monkeypatch.setattr("aerial2ground.policy_training.get_total_norm", lambda _: torch.tensor(float("inf")))
+        train_network(TaskConfig(epochs=6, batch_size=16), *bright_side(32, 0), "l1", seed=0)
 
 
 def test_augmentation_keeps_the_range_and_the_depth():
