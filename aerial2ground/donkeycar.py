@@ -21,7 +21,7 @@ from torch import Tensor
 
 from hashnerf.errors import UserError
 from hashnerf.image_files import read_rgb, resolve_inside
-from hashnerf.transforms_json import is_index, is_number
+from hashnerf.transforms_json import is_index, is_number, read_text
 
 PICTURE, STEERING, THROTTLE = "cam/image_array", "user/angle", "user/throttle"
 
@@ -107,14 +107,10 @@ def _records(folder: Path, name: str) -> Iterator[Mapping]:
 
 def _json_lines(path: Path) -> Iterator[tuple[int, Any]]:
     """Numbers and values of the lines of a file that are not empty."""
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path}: cannot be read ({error})") from error
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(read_text(path, "copy the whole tub").splitlines(), 1):
         if not line.strip():
             continue
         try:
             yield number, json.loads(line)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise UserError(f"{path}: line {number} is not JSON ({error}); copy the file again") from error

@@ -7,7 +7,6 @@ World frame, metres. Lines that form one town meet: the network must be connecte
 points are [x, y, z], and no height is told. The entry may also stand in a JSON file of its own.
 """
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hashnerf.errors import UserError
+from hashnerf.transforms_json import read_json
 
 FARTHEST = 1e8
 """Metres from 0 beyond which no map projection has a point."""
@@ -122,9 +122,9 @@ def distance_to_line(line: Float[Tensor, "m 2"], points: Float[Tensor, "n 2"]) -
 def read_road_file(path: Path) -> Any:
     """Returns the `road_network` entry of a JSON file of its own; raises UserError for a file that is none."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path}: cannot be read as a road network in JSON ({error})") from error
+        return read_json(path, "give a JSON file with the roads' centre lines")
+    except UserError as error:
+        raise UserError(f"cannot be read as a road network in JSON: {error}") from error
 
 
 def network_from_geojson(
@@ -136,9 +136,9 @@ def network_from_geojson(
     (equirectangular: good to a few centimetres over a kilometre). Raises UserError for a file without lines.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path}: cannot be read as GeoJSON ({error})") from error
+        document = read_json(path, "export the roads' centre lines as GeoJSON")
+    except UserError as error:
+        raise UserError(f"cannot be read as GeoJSON: {error}") from error
     lines = [line for line in _geojson_lines(document) if len(line) >= 2]
     if not lines:
         raise UserError(f"{path}: holds no LineString; export the roads' centre lines as lines")

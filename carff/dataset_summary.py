@@ -1,5 +1,7 @@
 """What a data set holds, and which parts of the pipeline it is enough for, in words: read before training on it."""
 
+import hashlib
+
 from carff.encoders import SIDE_MULTIPLE
 from carff.states import StateTable
 from hashnerf.posed_images import SPLITS, PosedImages, missing_views
@@ -20,10 +22,22 @@ def summarise(data: PosedImages, table: StateTable) -> list[str]:
     if missing:
         shown = ", ".join(map(str, missing[:3])) + (", ..." if len(missing) > 3 else "")
         lines.append(f"{len(missing)} (branch, step, camera) without a picture: {shown}")
+    known = pictures_in_two_splits(data)
+    if known:
+        lines.append(
+            f"note: {known} held-out pictures are equal to training pictures: what is measured on them flatters"
+        )
     if data.cameras.width % SIDE_MULTIPLE or data.cameras.height % SIDE_MULTIPLE:
         needed = f"sides are not multiples of {SIDE_MULTIPLE} pixels, as the conv encoder needs"
         lines.append(f"note: {needed}: crop, or train with --image_size")
     return lines + [f"note: {reason}" for reason in limits(table)]
+
+
+def pictures_in_two_splits(data: PosedImages) -> int:
+    """Returns how many val and test views show, pixel by pixel, what a training view of another file shows."""
+    digests = [hashlib.sha256(picture.numpy().tobytes()).digest() for picture in data.images]
+    training = {digest for digest, frame in zip(digests, data.frames) if frame.split == "train"}
+    return sum(digest in training for digest, frame in zip(digests, data.frames) if frame.split != "train")
 
 
 def limits(table: StateTable) -> list[str]:

@@ -117,6 +117,9 @@ def config_changes(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
 
 def run_main(main: Callable[[], int | None]) -> NoReturn:
     """Run a script's `main` and exit, without traceback: 0 fine, 1 out of memory or disk, 2 wrong input, 130 Ctrl-C."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by whoever started us: Python has no stream to print to
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="backslashreplace")  # a terminal that is not UTF-8 must not end a run
     try:

@@ -233,13 +233,18 @@ class FieldFit:
 
     def step(self, step: int, batch: RayBatch, generator: torch.Generator | None) -> dict[str, float]:
         """Take one optimiser step (or skip it if anything is not finite) and return metrics over all processes."""
+        if not (batch.rays.origins.isfinite().all() and batch.rays.directions.isfinite().all()):
+            # no sample can be placed on such a ray, so there is no loss to skip the step by
+            raise UserError(f"training broke down at step {step}: rays not finite; check the poses")
         progress = min(step / max(self.total_steps, 1), 1.0)
         for group in self.optimizer.param_groups:
             group["lr"] = group["start"] * self.config.final_share**progress
         self.optimizer.zero_grad()
         loss, squared, samples = self.loss(batch, self.occupancy, self._march_settings(progress), generator)
         self.fabric.backward(loss)
-        gradient = torch.nn.utils.get_total_norm([p.grad for p in self.field.parameters() if p.grad is not None])
+        # of every group, also those beside the field: poses with a NaN would be lost as weights are
+        learnt = [parameter for group in self.optimizer.param_groups for parameter in group["params"]]
+        gradient = torch.nn.utils.get_total_norm([p.grad for p in learnt if p.grad is not None])
         numbers = torch.stack([loss.detach(), squared, loss.new_tensor(samples), loss.new_tensor(len(batch.rays))])
         # one process must not skip a step that the others take, nor draw another number of rays
         mean_loss, mean_squared, mean_samples, mean_rays = self.fabric.all_reduce(numbers, reduce_op="mean").tolist()

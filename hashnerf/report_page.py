@@ -22,7 +22,10 @@ from hashnerf.errors import UserError
 from hashnerf.report_tables import Table, number, number_beside
 from hashnerf.run_info import RunInfo
 from hashnerf.targets import Verdict, lookup, reason_for
-from hashnerf.transforms_json import write_atomically
+from hashnerf.transforms_json import read_transforms, write_atomically
+
+NOT_FINITE = "not finite"
+"""The reason of a target whose figure was measured and is NaN or infinite; as JSON has neither, its value is null."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +110,22 @@ def write_report(
     return folder / "report.html"
 
 
+def print_targets(folder: Path) -> None:
+    """Prints the figures of a written report that have targets.
+
+    Raises UserError, after the last line, naming those that were measured but are not finite: such a run has failed.
+    """
+    rows = read_transforms(folder / "report.json")["targets"]
+    for row in rows:
+        missing = NOT_FINITE if row["reason"] == NOT_FINITE else "not run"
+        value = missing if row["measured"] is None else f"{row['measured']:.4g}"
+        verdict = {True: "met", False: "missed", None: ""}[row["met"]]
+        print(f"{row['key']:34s}{value:>10s}  {verdict}")
+    bad = [row["key"] for row in rows if row["reason"] == NOT_FINITE]
+    if bad:
+        raise UserError(f"{folder}: {', '.join(bad)} not finite; a stage has broken down, train it again")
+
+
 def _page(
     kind: ReportKind,
     run: RunInfo,
@@ -171,7 +190,7 @@ def _target_rows(verdicts: list[Verdict]) -> list[dict]:
             "target": verdict.limit,
             "measured": verdict.measured,
             "met": verdict.met,
-            "reason": verdict.reason,
+            "reason": verdict.reason if _is_finite(verdict.measured) else NOT_FINITE,
         }
         for verdict in verdicts
     ]
@@ -192,4 +211,8 @@ def _finite(value: Any) -> Any:
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list):
         return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return value if _is_finite(value) else None
+
+
+def _is_finite(value: Any) -> bool:
+    return not isinstance(value, float) or math.isfinite(value)

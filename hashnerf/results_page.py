@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hashnerf.errors import UserError
+from hashnerf.report_page import NOT_FINITE
 from hashnerf.report_tables import Table, number, number_beside
 from hashnerf.targets import Target, lookup
 from hashnerf.transforms_json import read_transforms
@@ -80,7 +81,7 @@ def _cell(report: dict, key: str, unit: str, script: str) -> str:
     if row is None:
         raise UserError(f"{report['run']['name']}: its report lacks {key}; run {script} again")
     if row["measured"] is None:
-        return "not run"
+        return NOT_FINITE if row.get("reason") == NOT_FINITE else "not run"
     measured = lookup(report, key) if lookup(report, key) is not None else row["measured"]
     value = number_beside(measured, row["target"], unit)
     if row["target"] is None:

@@ -12,7 +12,7 @@ import re
 import secrets
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from hashnerf.errors import UserError
 
@@ -24,33 +24,43 @@ LARGEST_INDEX = 1_000_000  # a branch, step or camera beyond this is a mistake, 
 
 def read_transforms(path: Path | str) -> dict:
     """Parses one JSON object; raises UserError on NaN, duplicate keys, over 200 MB, deep nesting or broken syntax."""
-    path = Path(path)
+    document = read_json(Path(path), "a data set folder needs a transforms.json")
+    if not isinstance(document, dict):
+        raise UserError(f"{path}: the top level is a {type(document).__name__}; it must be an object with 'frames'")
+    return document
+
+
+def read_json(path: Path, advice: str) -> Any:
+    """Parses a file of strict JSON; raises UserError as `read_transforms` does, `advice` where there is none."""
+    text = read_text(path, advice)
     try:
-        if not path.is_file():
-            raise UserError(f"{path}: not found or not a regular file; a data set folder needs a transforms.json")
-        size = path.stat().st_size
-        if size > LARGEST_FILE:
-            raise UserError(f"{path}: {size / 2**20:.0f} MB is over the limit of {LARGEST_FILE // 2**20} MB")
-        text = path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
-    try:
-        document = json.loads(
+        value = json.loads(
             text,
             parse_constant=lambda token: _refuse_constant(token, text),
             parse_float=_finite_float,
             object_pairs_hook=_unique_keys,
         )
-        _check_nesting(document)
+        _check_nesting(value)
     except RecursionError as error:
-        raise UserError(f"{path}: lists or objects are nested too deeply to be a transforms.json") from error
+        raise UserError(f"{path}: lists or objects are nested too deeply, over {DEEPEST_NESTING} times") from error
     except ValueError as error:  # JSONDecodeError, and ours from the hooks
         raise UserError(f"{path}: is not strict JSON: {error}") from error
-    if not isinstance(document, dict):
-        raise UserError(f"{path}: the top level is a {type(document).__name__}; it must be an object with 'frames'")
-    return document
+    return value
+
+
+def read_text(path: Path, advice: str) -> str:
+    """Reads a file of UTF-8 text; raises UserError where it is none, over 200 MB, or no regular file."""
+    try:
+        if not path.is_file():
+            raise UserError(f"{path}: not found or not a regular file; {advice}")
+        size = path.stat().st_size
+        if size > LARGEST_FILE:
+            raise UserError(f"{path}: {size / 2**20:.0f} MB is over the limit of {LARGEST_FILE // 2**20} MB")
+        return path.read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
 
 
 def write_transforms(path: Path | str, document: dict) -> None:

@@ -7,11 +7,14 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from typing import Any, TypeVar
 
 import torch
+
+from hashnerf.errors import UserError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -35,8 +38,8 @@ def worker_processes(
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _start, (make,))
 
     def there(items: Sequence[Item]) -> Iterator[Result]:
-        with _interrupts_held():
-            return pool.map(_work, items, chunksize=chunk)
+        with _deaths_told(), _interrupts_held():
+            return _in_order(pool.map(_work, items, chunksize=chunk))
 
     try:
         yield there
@@ -51,6 +54,22 @@ def map_in_processes(
     workers = 1 if len(items) <= chunk else min(workers, len(items))
     with worker_processes(make, workers, chunk) as mapped:
         yield from mapped(items)
+
+
+def _in_order(results: Iterator[Result]) -> Iterator[Result]:
+    with _deaths_told():
+        yield from results
+
+
+@contextmanager
+def _deaths_told() -> Iterator[None]:
+    """A process that the system kills, mostly for its memory, is told in a sentence."""
+    try:
+        yield
+    except BrokenProcessPool as error:
+        raise UserError(
+            "a worker process was killed: give fewer workers if memory is short, and start again"
+        ) from error
 
 
 @contextmanager

@@ -3,7 +3,6 @@
 python scripts/report_aerial.py --config configs/aerial2ground/fast.yaml [--name my_run]
 """
 
-import json
 import shlex
 import sys
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 from aerial2ground.config import AerialConfig
 from aerial2ground.report import write_run_report
 from hashnerf.command_line import parse_config, run_main
+from hashnerf.report_page import print_targets
 
 
 def main() -> None:
@@ -18,12 +18,8 @@ def main() -> None:
     config = parse_config(AerialConfig, description="Write the report of a run from drone pictures to driving.")
     command = shlex.join(["python", f"scripts/{Path(sys.argv[0]).name}", *sys.argv[1:]])
     page = write_run_report(config, command)
-    report = json.loads((config.folder / "report.json").read_text(encoding="utf-8"))
-    for row in report["targets"]:
-        value = "not run" if row["measured"] is None else f"{row['measured']:.4g}"
-        verdict = {True: "met", False: "missed", None: ""}[row["met"]]
-        print(f"{row['key']:34s}{value:>10s}  {verdict}")
     print(f"report: {page}")
+    print_targets(config.folder)
 
 
 if __name__ == "__main__":

@@ -147,8 +147,11 @@ def test_files_stay_short():
     assert statistics.median(rooms) < 200
 
 
-def test_no_unsafe_calls_and_no_skipped_tests():
-    assert not [hit for path, tree in python_files().items() for hit in forbidden_calls(path, tree)]
+def test_k30_k31_no_unsafe_calls_and_no_skipped_tests(numeric_row):
+    hits = [hit for path, tree in python_files().items() for hit in forbidden_calls(path, tree)]
+    print(hits)
+    for row in ("K30", "K31"):
+        numeric_row(row, f"{len(python_files())} files: pickle, torch.load and their like", len(hits))
 
 
 @pytest.mark.parametrize(

@@ -67,6 +67,7 @@ def write(name: str, text: str):
     [
         (lambda folder: (folder / "manifest.json").unlink(), "manifest.json: does not exist; give the folder"),
         (write("manifest.json", "[1]\n{"), "manifest.json: line 2 is not JSON"),
+        (write("manifest.json", "[" * 100_000), "manifest.json: line 1 is not JSON"),
         (write("manifest.json", "[1]\n"), "manifest.json: no line has the key 'paths'"),
         (write("manifest.json", '{"paths": []}'), "'paths' must be a list"),
         (write("manifest.json", '{"paths": ["catalog_9.catalog"]}'), "'catalog_9.catalog' does not exist"),

@@ -28,10 +28,11 @@ def test_a_network_learns_where_a_bar_is(loss):
     assert float(error) < 0.12
 
 
-def test_training_repeats_with_the_seed():
+def test_k26_training_repeats_with_the_seed(numeric_row):
     config = TaskConfig(epochs=2, batch_size=16)
     one, two, other = (train_network(config, *bright_side(32, 0), "l1", seed) for seed in (0, 0, 1))
-    assert all(torch.equal(a, b) for a, b in zip(one.state_dict().values(), two.state_dict().values()))
+    different = sum(not torch.equal(a, b) for a, b in zip(one.state_dict().values(), two.state_dict().values()))
+    numeric_row("K26", "a policy trained twice from one seed: tensors that differ", different)
     assert any(not torch.equal(a, b) for a, b in zip(one.state_dict().values(), other.state_dict().values()))
 
 

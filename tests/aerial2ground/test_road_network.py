@@ -1,7 +1,9 @@
 """The road network: points on it, distances to it, and what is refused."""
 
+import contextlib
 import json
 import math
+import os
 from pathlib import Path
 
 import pytest
@@ -95,6 +97,23 @@ def test_a_file_of_its_own(tmp_path):
         read_road_file(tmp_path / "nowhere.json")
 
 
+HOSTILE = {"1e5 levels": "[" * 100_000, "twice a key": '{"width": 1, "width": 2}', "NaN": '{"width": NaN}'}
+
+
+def test_k34_hostile_files_of_roads_are_named(tmp_path, numeric_row):
+    file, wrong = tmp_path / "roads.json", []
+    os.mkfifo(tmp_path / "pipe.json")  # opening it would wait for ever
+    for read in (read_road_file, lambda path: network_from_geojson(path, 5.0, [90, 90, 90])):
+        for case, text in HOSTILE.items():
+            file.write_text(text)
+            with contextlib.suppress(UserError):
+                wrong.append((case, read(file)))
+        with contextlib.suppress(UserError):
+            wrong.append(("a pipe", read(tmp_path / "pipe.json")))
+    print(wrong)
+    numeric_row("K34", f"roads in JSON and GeoJSON: {', '.join(HOSTILE)}, a pipe: read", len(wrong))
+
+
 def test_the_roads_that_come_with_the_project():
     file = Path(__file__).resolve().parents[2] / "configs" / "aerial2ground" / "caliterra_roads.json"
     roads = read_road_network(read_road_file(file), HERE, str(file))
@@ -116,26 +135,37 @@ def test_distances_by_hand():
     assert distance_to_line(torch.tensor([[0.0, 0.0], [4.0, 0.0]]), points).tolist() == [3.0, 5.0, 0.0]
 
 
-@pytest.mark.parametrize(
-    "changes, sentence",
-    [
-        ({"lines": []}, "road_network.lines is empty"),
-        ({"lines": "abc"}, "road_network.lines is empty"),
-        ({"lines": [[[0, 0]]]}, "lines[0] must be two or more points"),
-        ({"lines": [[[0, 0], [1, math.nan]]]}, "lines[0] must be two or more points"),
-        ({"lines": [[[0, 0], [0, 0]]]}, "lines[0] has no length"),
-        ({"lines": [[[0, 0], [4, 0]], [[0, 9], [4, 9]]]}, "lines[1] meets no other road"),
-        ({"width": 0}, "road_network.width is 0"),
-        ({"height": "low"}, "road_network.height is low"),
-        ({"colour": [0, 0]}, "road_network.colour must be"),
-        ({"colour": [0, 0, 300]}, "road_network.colour must be"),
-        ({"color": [0, 0, 0]}, "unknown key 'color'"),
-    ],
-)
-def test_a_bad_network_is_named(changes, sentence):
-    with pytest.raises(UserError) as caught:
-        network(**changes)
-    assert sentence in str(caught.value) and str(caught.value).startswith("town/transforms.json: ")
+BAD_NETWORKS = [
+    ({"lines": []}, "road_network.lines is empty"),
+    ({"lines": "abc"}, "road_network.lines is empty"),
+    ({"lines": [[[0, 0]]]}, "lines[0] must be two or more points"),
+    ({"lines": [[[0, 0], [1, math.nan]]]}, "lines[0] must be two or more points"),
+    ({"lines": [[[0, 0], [0, 0]]]}, "lines[0] has no length"),
+    ({"lines": [[[0, 0], [4, 0]], [[0, 9], [4, 9]]]}, "lines[1] meets no other road"),
+    ({"width": 0}, "road_network.width is 0"),
+    ({"width": -1.0}, "road_network.width is -1.0"),
+    ({"width": math.inf}, "road_network.width is inf"),
+    ({"height": "low"}, "road_network.height is low"),
+    ({"height": math.nan}, "road_network.height is nan"),
+    ({"colour": [0, 0]}, "road_network.colour must be"),
+    ({"colour": [0, 0, 300]}, "road_network.colour must be"),
+    ({"color": [0, 0, 0]}, "unknown key 'color'"),
+]
+
+
+def test_k47_a_bad_network_is_named(numeric_row):
+    wrong = []
+    for changes, sentence in BAD_NETWORKS:
+        try:
+            network(**changes)
+            wrong.append(changes)
+        except UserError as error:
+            told = sentence in str(error) and str(error).startswith("town/transforms.json: ")
+            wrong += [] if told else [(changes, str(error))]
+    print(wrong)
+    numeric_row(
+        "K47", f"{len(BAD_NETWORKS)} networks: empty, without length, width <= 0, ...: read, or not named", len(wrong)
+    )
 
 
 def test_no_network_at_all():

@@ -24,6 +24,11 @@ def test_rays_fall_on_the_road_from_a_known_height():
     assert batch.rgb[0].tolist() == pytest.approx([0.2, 0.4, 1.0])
 
 
+def test_k47_rays_of_the_prior_have_unit_directions(numeric_row):
+    worst = max(float((draw(grazing=share).rays.directions.norm(dim=1) - 1).abs().max()) for share in (0.0, 0.5, 1.0))
+    numeric_row("K47", "400 rays down on the road and along it: length of a direction from 1", worst, 1e-6)
+
+
 def test_the_papers_rays_start_at_the_flying_height():
     batch = draw(start=0.0, grazing=0.0)
     assert batch.rays.origins[:, 2] == pytest.approx(3.0) and (batch.distance == 2.5).all()

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from carff.beliefs import Belief
 from carff.decoders import DecoderConfig
 from carff.encoders import EncoderConfig
 from carff.pcvae import Pcvae, PcvaeConfig
@@ -25,6 +26,17 @@ def test_first_beliefs_are_sharp(tiny_data, tiny_table):
 def test_encode_splits_into_batches_without_effect(tiny_data, tiny_table):
     pcvae = build(tiny_data, tiny_table)
     assert torch.allclose(pcvae.encode(tiny_data.images).mean, pcvae.encode(tiny_data.images, batch=3).mean, atol=2e-2)
+
+
+@pytest.mark.parametrize("count", [1, 63, 64, 65, 128, 129])
+def test_k45_every_picture_is_encoded_once_and_in_order(tiny_data, tiny_table, monkeypatch, count, numeric_row):
+    """Pictures bear their number as their colour, and the encoder reads it."""
+    pcvae = build(tiny_data, tiny_table)
+    monkeypatch.setattr(pcvae, "encode_prepared", lambda x: Belief(x[:, 0, 0, :1].float(), torch.zeros(len(x), 1)))
+    pictures = torch.arange(count, dtype=torch.uint8)[:, None, None, None].expand(count, 32, 32, 3)
+    mean = pcvae.encode(pictures).mean[:, 0]
+    wrong = abs(len(mean) - count) + int((mean[:count] != torch.arange(len(mean))[:count]).sum())
+    numeric_row("K45", f"{count} pictures in batches of 64: latents missing, doubled or moved", wrong)
 
 
 def test_encode_leaves_the_training_mode_as_it_was(tiny_data, tiny_table):

@@ -1,5 +1,7 @@
 """Stage 1 learns the states that pictures show, and takes the same path after an interruption."""
 
+import json
+
 import pytest
 import torch
 
@@ -61,7 +63,7 @@ def test_the_logged_psnr_is_that_of_the_decoded_pictures(tiny_data, tiny_table, 
     assert abs(logged - expected) < 0.5, "the same but for which views were drawn, and pictures clamped to [0, 1]"
 
 
-def test_an_interrupted_training_takes_the_same_path(tiny_data, tiny_table, tmp_path, monkeypatch):
+def test_k06_an_interrupted_training_takes_the_same_path(tiny_data, tiny_table, tmp_path, monkeypatch, numeric_row):
     whole = train(tiny_data, tiny_table, tmp_path / "whole", 90)
     record = ViewPriority.record
     calls = []
@@ -76,7 +78,20 @@ def test_an_interrupted_training_takes_the_same_path(tiny_data, tiny_table, tmp_
         patched.setattr(ViewPriority, "record", interrupted)
         train(tiny_data, tiny_table, tmp_path / "run", 90)
     resumed = train(tiny_data, tiny_table, tmp_path / "run", 90)
-    assert all(torch.equal(a, b) for a, b in zip(whole.state_dict().values(), resumed.state_dict().values()))
+    different = sum(not torch.equal(a, b) for a, b in zip(whole.state_dict().values(), resumed.state_dict().values()))
+    lines = [(tmp_path / name / "metrics.jsonl").read_text().splitlines() for name in ("whole", "run")]
+    logged = [[{**json.loads(line), "seconds": 0} for line in part] for part in lines]
+    different += sum(a != b for a, b in zip(*logged, strict=True))
+    assert len({line["kl_weight"] for line in logged[0]}) > 1
+    numeric_row("K06", "PC-VAE, 90 steps, stopped at 75: tensors, losses or KL weights that differ", different)
+
+
+def test_k43_fewer_views_than_a_batch_are_enough(tiny_data, tiny_table, tmp_path, numeric_row):
+    few = PcvaeConfig(steps=3, batch_size=64, encoder=EncoderConfig(width=8))
+    pcvae = build(tiny_data, tiny_table, 3)
+    train_pcvae(few, pcvae, tiny_data, tiny_table, tmp_path / "run", {}, seed=3)
+    bad = sum(not bool(value.isfinite().all()) for value in pcvae.state_dict().values())
+    numeric_row("K43", "16 views, batches of 64: tensors not finite", bad)
 
 
 def test_rate_warms_up_and_ends_at_zero():

@@ -50,7 +50,7 @@ def write(folder: Path, document: dict) -> None:
     (folder / "transforms.json").write_text(json.dumps(document))
 
 
-def test_all_problems_are_listed_at_once(data):
+def test_k40_all_problems_are_listed_at_once(data, numeric_row):
     document = read(data)
     (data / "images/s0_c0.png").unlink()
     broken = data / "images/s0_c1.png"
@@ -59,8 +59,8 @@ def test_all_problems_are_listed_at_once(data):
     document["frames"][3]["transform_matrix"][0][0] = 1.5
     write(data, document)
     output = refused(data)
-    for words in ("s0_c0.png", "s0_c1.png", "outside.png", "frame 3"):
-        assert words in output
+    untold = [words for words in ("s0_c0.png", "s0_c1.png", "outside.png", "frame 3") if words not in output]
+    numeric_row("K40", "a training on four bad frames (exit 2): not told", len(untold))
 
 
 def test_a_pose_that_is_not_a_number(data):
@@ -69,11 +69,13 @@ def test_a_pose_that_is_not_a_number(data):
     assert "NaN" in refused(data)
 
 
-def test_a_state_without_views(data):
+def test_k44_a_state_without_views(data, numeric_row):
     document = read(data)
     document["states"] = [{"branch": 0, "step": step, "hazard": False} for step in range(3)]
     write(data, document)
-    assert "branch 0 step 2" in refused(data)
+    numeric_row(
+        "K44", "a training on a state without views (exit 2): not named", "branch 0 step 2" not in refused(data)
+    )
 
 
 def test_an_unknown_key_names_the_nearest(data):
@@ -85,12 +87,13 @@ def test_a_value_of_the_wrong_type_names_key_and_value(data):
     assert "pcvae.steps" in output and "many" in output
 
 
-def test_a_data_set_without_training_views(data):
+def test_k43_a_data_set_without_training_views(data, numeric_row):
     document = read(data)
     for frame in document["frames"]:
         frame["split"] = "test"
     write(data, document)
-    assert "no view has the split `train`" in refused(data)
+    told = "no view has the split `train`" in refused(data)
+    numeric_row("K43", "a training on test views alone (exit 2): not told", not told)
 
 
 def test_a_missing_folder(tmp_path):

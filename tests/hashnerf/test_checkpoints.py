@@ -1,10 +1,14 @@
 """Checkpoints: exact round trips, damage of every kind detected, and never a moment without a good one."""
 
+import contextlib
+import io
 import json
 import logging
 import os
 import random
+import resource
 import shutil
+import time
 from pathlib import Path
 
 import pytest
@@ -127,18 +131,20 @@ def test_optimiser_state_is_exact(tmp_path):
 
 
 @pytest.mark.parametrize(("keep", "left"), [(1, [40]), (2, [30, 40]), (3, [20, 30, 40]), (9, [10, 20, 30, 40])])
-def test_the_newest_checkpoints_stay(tmp_path, keep, left):
+def test_k10_the_newest_checkpoints_stay(tmp_path, keep, left, numeric_row):
     save_steps(tmp_path, 10, 20, 30, 40, keep=keep)
-    assert checkpoint_steps(tmp_path) == left
+    numeric_row(
+        "K10", f"keep {keep} of 4: steps wrongly kept or lost", len(set(checkpoint_steps(tmp_path)) ^ set(left))
+    )
     assert os.readlink(tmp_path / "last") == "0000040"
     assert names(tmp_path) == {*(f"{step:07d}" for step in left), "last"}
 
 
-def test_keeping_none_is_refused_before_anything_is_touched(tmp_path):
+def test_k10_keeping_none_is_refused_before_anything_is_touched(tmp_path, numeric_row):
     save_steps(tmp_path, 1)
     with pytest.raises(UserError, match="keep = 0"):
         save_checkpoint(tmp_path, 2, fill(2), {}, keep=0)
-    assert checkpoint_steps(tmp_path) == [1]
+    numeric_row("K10", "keep 0: checkpoints lost", len({1} - set(checkpoint_steps(tmp_path))))
 
 
 def test_going_back_removes_the_abandoned_future(tmp_path):
@@ -174,33 +180,46 @@ def test_nothing_to_load(tmp_path):
 FILES = ("tensors.safetensors", "state.json", "manifest.json")
 
 
+CUTS = {
+    "0": lambda data: b"",
+    "1": lambda data: data[:1],
+    "10%": lambda data: data[: len(data) // 10],
+    "50%": lambda data: data[: len(data) // 2],
+    "-100": lambda data: data[:-100],
+    "-1": lambda data: data[:-1],
+    "longer": lambda data: data + b" ",
+    "gone": None,
+    "folder": None,
+}
+
+
 @pytest.mark.parametrize("name", FILES)
-@pytest.mark.parametrize("cut", ["0", "1", "10%", "50%", "-100", "-1", "gone", "longer", "folder"])
-def test_a_cut_file_falls_back_and_says_which(tmp_path, caplog, name, cut):
-    save_steps(tmp_path, 10, 20)
-    path = tmp_path / "0000020" / name
-    data = path.read_bytes()
-    lengths = {"0": 0, "1": 1, "10%": len(data) // 10, "50%": len(data) // 2, "-100": max(0, len(data) - 100), "-1": -1}
-    if cut in ("gone", "folder"):
+def test_k04_a_cut_file_falls_back_and_says_which(tmp_path, caplog, name, numeric_row):
+    wrong = []
+    for cut, change in CUTS.items():
+        folder = tmp_path / cut
+        save_steps(folder, 10, 20)
+        path = folder / "0000020" / name
+        data = path.read_bytes()
         path.unlink()
-    if cut == "folder":
-        path.mkdir()
-    if cut == "longer":
-        path.write_bytes(data + b" ")
-    if cut in lengths:
-        path.write_bytes(data[: lengths[cut]])
-    with caplog.at_level(logging.WARNING):
-        assert load_checkpoint(tmp_path).step == 10
-    assert len(caplog.messages) == 1
-    assert name in caplog.messages[0]
-    assert "falling back to step 10" in caplog.messages[0]
-    with pytest.raises(UserError, match=name):
-        load_checkpoint(tmp_path, step=20)
+        if cut == "folder":
+            path.mkdir()
+        if change is not None:
+            path.write_bytes(change(data))
+        caplog.clear()
+        with caplog.at_level(logging.WARNING):
+            step = load_checkpoint(folder).step
+        said = name in caplog.text and "falling back to step 10" in caplog.text
+        wrong += [] if step == 10 and said and len(caplog.messages) == 1 else [cut]
+        with pytest.raises(UserError, match=name):
+            load_checkpoint(folder, step=20)
+    print(wrong)
+    numeric_row("K04", f"{name} cut to {', '.join(CUTS)}: not fallen back in words", len(wrong))
 
 
-def test_every_flipped_bit_is_found(tmp_path):
+def test_k05_every_flipped_bit_is_found(tmp_path, numeric_row):
     save_steps(tmp_path, 10)
-    draw = random.Random(0)
+    draw, silent = random.Random(0), 0
     for number in range(150):
         path = tmp_path / "0000010" / FILES[number % 3]
         good = path.read_bytes()
@@ -208,10 +227,15 @@ def test_every_flipped_bit_is_found(tmp_path):
         place = draw.randrange(len(bad))
         bad[place] ^= 1 << draw.randrange(8)
         path.write_bytes(bad)
-        with pytest.raises(UserError, match="no good checkpoint is left"):
+        try:
             load_checkpoint(tmp_path)
+        except UserError as error:
+            assert "no good checkpoint is left" in str(error)
+        else:
+            silent += 1
         path.write_bytes(good)
     assert load_checkpoint(tmp_path).step == 10
+    numeric_row("K05", "150 bits of the three files, one at a time: flips that load", silent)
 
 
 def test_a_checkpoint_under_another_steps_name_is_refused(tmp_path):
@@ -234,6 +258,7 @@ def evil_headers() -> dict[str, bytes]:
         "length 2**63": (2**63).to_bytes(8, "little") + b"{}",
         "length beyond the file": (10_000).to_bytes(8, "little") + b"{}",
         "101 MB of JSON": file("{" + " " * 101_000_000 + "}"),
+        "a name twice": file(f'{{"a":{entry("[1]", 0, 4)},"a":{entry("[1]", 4, 8)}}}', bytes(8)),
         "overlap": file(f'{{"a":{entry("[2]", 0, 8)},"b":{entry("[2]", 4, 12)}}}', bytes(12)),
         "hole": file(f'{{"a":{entry("[1]", 0, 4)},"b":{entry("[1]", 8, 12)}}}', bytes(12)),
         "shape": file(f'{{"a":{entry("[3]", 0, 8)}}}', bytes(8)),
@@ -243,18 +268,71 @@ def evil_headers() -> dict[str, bytes]:
     }
 
 
-@pytest.mark.parametrize("kind", evil_headers())
-def test_a_lying_tensor_file_with_a_matching_manifest_is_refused(tmp_path, kind):
-    save_steps(tmp_path, 10)
-    contents = {"tensors.safetensors": evil_headers()[kind], "state.json": b"{}"}
+def plant(folder: Path, tensor_file: bytes) -> None:
+    """A checkpoint whose manifest vouches for whatever its tensor file is."""
+    save_steps(folder, 10)
+    contents = {"tensors.safetensors": tensor_file, "state.json": b"{}"}
     for name, data in contents.items():
-        (tmp_path / "0000010" / name).write_bytes(data)
-    (tmp_path / "0000010" / "manifest.json").write_bytes(checkpoints._manifest_bytes(10, contents))
+        (folder / "0000010" / name).write_bytes(data)
+    (folder / "0000010" / "manifest.json").write_bytes(checkpoints._manifest_bytes(10, contents))
+
+
+def test_k32_a_lying_tensor_file_with_a_matching_manifest_is_refused(tmp_path, numeric_row):
+    seconds, megabytes, loaded = [], [], 0
+    for kind, data in evil_headers().items():
+        plant(tmp_path / kind, data)
+        start = time.process_time()
+        try:
+            load_checkpoint(tmp_path / kind)
+            loaded += 1
+        except UserError as error:
+            assert "does not parse" in str(error)
+        seconds.append(time.process_time() - start)
+        megabytes.append(peak_growth(tmp_path / kind))
+    numeric_row("K32", f"{len(seconds)} headers that lie: files that load", loaded)
+    numeric_row("K32", "processor seconds of the slowest refusal", max(seconds), 1.0)
+    numeric_row("K32", "MB that the refusal with the most memory takes", max(megabytes), 200.0)
+
+
+def peak_growth(folder: Path) -> float:
+    """Megabytes by which the peak memory of a process of its own grows when it loads; our own peak lies behind us."""
+    reader, writer = os.pipe()
+    if os.fork() == 0:
+        try:
+            before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+            with contextlib.suppress(UserError):
+                load_checkpoint(folder)
+            os.write(writer, str(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before).encode())
+        finally:
+            os._exit(0)
+    os.wait()
+    os.close(writer)
+    with open(reader) as told:
+        return float(told.read()) / 1000
+
+
+class Touch:
+    """What a pickle may do when it is read: run any function, here one that makes a file."""
+
+    def __init__(self, path: Path):
+        self.path = path
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
+
+
+def test_k30_k31_a_pickle_in_the_place_of_tensors_is_not_run(tmp_path, numeric_row):
+    proof = tmp_path / "proof"
+    buffer = io.BytesIO()
+    torch.save({"a": Touch(proof)}, buffer)
+    plant(tmp_path / "run", buffer.getvalue())
     with pytest.raises(UserError, match="does not parse"):
-        load_checkpoint(tmp_path)
+        load_checkpoint(tmp_path / "run")
+    for row in ("K30", "K31"):
+        numeric_row(row, "a pickle with a matching manifest: files that it made", proof.exists())
 
 
-def test_strict_module_loading_names_every_problem():
+def test_k12_strict_module_loading_names_every_problem(numeric_row):
     model = torch.nn.Sequential(torch.nn.Linear(2, 3), torch.nn.BatchNorm1d(3), torch.nn.Linear(3, 1))
     tensors = module_tensors(model, "m")
     before = {name: value.clone() for name, value in model.state_dict().items()}
@@ -267,7 +345,7 @@ def test_strict_module_loading_names_every_problem():
     tensors["other.weight"] = torch.zeros(1)  # another object's, not ours to judge
     with pytest.raises(DataError) as caught:
         load_module_state(model, tensors, "m")
-    assert caught.value.problems == [
+    expected = [
         "m.0.bias holds NaN or infinite values",
         "m.0.weight holds NaN or infinite values",
         "m.1.running_mean holds NaN or infinite values",
@@ -275,7 +353,10 @@ def test_strict_module_loading_names_every_problem():
         "m.2.weight has shape (1, 4), this model needs (1, 3)",
         "m.9.weight is not part of this model",
     ]
-    assert all(torch.equal(value, before[name]) for name, value in model.state_dict().items())
+    unnamed = len(set(expected) ^ set(caught.value.problems))
+    numeric_row("K12", "missing, extra, wrong shape, NaN, inf: problems not named", unnamed)
+    changed = sum(not torch.equal(value, before[name]) for name, value in model.state_dict().items())
+    numeric_row("K12", "the same: weights that were changed all the same", changed)
 
 
 def test_a_checkpoint_of_another_model_is_told_briefly():
@@ -287,11 +368,16 @@ def test_a_checkpoint_of_another_model_is_told_briefly():
     assert caught.value.problems[-1].startswith("13 more: ")
 
 
-def test_half_precision_weights_load_into_a_float_model():
-    model = torch.nn.Linear(2, 1)
-    load_module_state(model, {"m.weight": torch.ones(1, 2).half(), "m.bias": torch.ones(1).half()}, "m")
-    assert model.weight.dtype == torch.float32
-    assert model.weight.tolist() == [[1, 1]]
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64])
+def test_k11_weights_of_another_precision_load_into_a_float_model(tmp_path, dtype, numeric_row):
+    """What a file holds has a precision of its own; what a model computes in is the model's. No file names a device."""
+    values = torch.tensor([[0.1, 3.0]]).to(dtype)
+    save_checkpoint(tmp_path, 1, {"m.weight": values, "m.bias": torch.ones(1, dtype=dtype)}, {})
+    tensors, model = load_checkpoint(tmp_path).tensors, torch.nn.Linear(2, 1)
+    load_module_state(model, tensors, "m")
+    assert {tensor.device.type for tensor in tensors.values()} == {"cpu"} and model.weight.dtype == torch.float32
+    error = float((model.weight.detach() - values.float()).abs().max()) + float(tensors["m.weight"].dtype != dtype)
+    numeric_row("K11", f"a {dtype} file into a float32 model on the CPU", error)
 
 
 def test_a_buffer_may_be_infinite():

@@ -92,50 +92,65 @@ def test_defaults_alone():
     assert parse_config(Optimiser, []) == Optimiser()
 
 
-def test_numbers_that_yaml_1_1_reads_as_text(tmp_path):
+def test_k33_numbers_that_yaml_1_1_reads_as_text(tmp_path, numeric_row):
     text = "data: d\ntrain:\n  rate: 1e-3\n  betas: [9e-1, 1]\n"
     assert isinstance(yaml.safe_load(text)["train"]["rate"], str)  # the trap: PyYAML does not see a number here
     config = load_config(Config, Path(write(tmp_path / "a.yaml", text)))
-    assert config.train.rate == 0.001
+    numeric_row("K33", "1e-3 for a number: error", abs(config.train.rate - 0.001))
     assert config.train.betas == (0.9, 1.0)
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("train:\n  stepz: 6\n", ["a.yaml", "'train.stepz'", "did you mean 'train.steps'?"]),
-        ("trian:\n  steps: 6\n", ["a.yaml", "'trian'", "did you mean 'train'?"]),
-        ("zzz: 6\n", ["a.yaml", "'zzz'", "known: data, limit, mirror, name, sizes, train, weights."]),
-        ("train:\n  steps: six\n", ["a.yaml", "train.steps = 'six'", "expected int"]),
-        ("train:\n  steps: 6.5\n", ["train.steps = 6.5", "expected int"]),
-        ("train:\n  steps: true\n", ["train.steps = True", "expected int"]),
-        ("train:\n  steps:\n", ["train.steps is empty", "expected int"]),
-        ("train:\n  rate: fast\n", ["train.rate = 'fast'", "expected float"]),
-        ("train:\n  rate: .nan\n", ["a.yaml: train.rate = nan is not a number"]),
-        ("train:\n  betas: [0.9, .nan]\n", ["train.betas"]),
-        ("train:\n  betas: [0.9]\n", ["train.betas = [0.9]", "tuple[float, float]"]),
-        ("train:\n  kind: adan\n", ["train.kind = 'adan'", "one of 'adam', 'sgd'"]),
-        ("train: 5\n", ["train = 5", "group"]),
-        ("train: [1]\n", ["train = [1]", "group"]),
-        ("name: 5\n", ["name = 5", "expected str"]),
-        ("name: no\n", ["name = False", "expected str"]),
-        ("limit: many\n", ["limit = 'many'", "int or nothing"]),
-        ("weights: {rgb: x}\n", ["weights", "dict[str, float]"]),
-        ("name: a\nname: b\n", ["'name' is given twice in line 2"]),
-        ("train:\n  steps: 1\n  steps: 2\n", ["'steps' is given twice in line 3"]),
-        ("- 1\n", ["list"]),
-        ("name: [\n", ["line"]),
-        ("name: !!python/object/apply:os.system [ls]\n", ["constructor"]),
-        ("? [a, b]\n: 1\n", ["a key must be a word"]),
-        ("a: &x [1]\nb: *x\n", ["aliases", "line 2"]),
-        ("name: \x00\n", ["a.yaml"]),
-        ("[" * 100_000, ["nested too deeply"]),
-        ("name: " + "x" * 1_000_001, ["larger than 1000000 bytes"]),
-    ],
-)
-def test_bad_files_get_one_sentence(tmp_path, text, expected):
-    message = refused("--config", write(tmp_path / "a.yaml", text), "--data", "d")
-    assert all(part in message for part in expected), message
+BAD_YAML = [
+    ("train:\n  stepz: 6\n", ["a.yaml", "'train.stepz'", "did you mean 'train.steps'?"]),
+    ("trian:\n  steps: 6\n", ["a.yaml", "'trian'", "did you mean 'train'?"]),
+    ("zzz: 6\n", ["a.yaml", "'zzz'", "known: data, limit, mirror, name, sizes, train, weights."]),
+    ("train:\n  steps: six\n", ["a.yaml", "train.steps = 'six'", "expected int"]),
+    ("train:\n  steps: 6.5\n", ["train.steps = 6.5", "expected int"]),
+    ("train:\n  steps: true\n", ["train.steps = True", "expected int"]),
+    ("train:\n  steps:\n", ["train.steps is empty", "expected int"]),
+    ("train:\n  rate: fast\n", ["train.rate = 'fast'", "expected float"]),
+    ("train:\n  rate: .nan\n", ["a.yaml: train.rate = nan is not a number"]),
+    ("train:\n  betas: [0.9, .nan]\n", ["train.betas"]),
+    ("train:\n  betas: [0.9]\n", ["train.betas = [0.9]", "tuple[float, float]"]),
+    ("train:\n  kind: adan\n", ["train.kind = 'adan'", "one of 'adam', 'sgd'"]),
+    ("train: 5\n", ["train = 5", "group"]),
+    ("train: [1]\n", ["train = [1]", "group"]),
+    ("name: 5\n", ["name = 5", "expected str"]),
+    ("name: no\n", ["name = False", "expected str"]),
+    ("limit: many\n", ["limit = 'many'", "int or nothing"]),
+    ("weights: {rgb: x}\n", ["weights", "dict[str, float]"]),
+    ("name: a\nname: b\n", ["'name' is given twice in line 2"]),
+    ("train:\n  steps: 1\n  steps: 2\n", ["'steps' is given twice in line 3"]),
+    ("- 1\n", ["list"]),
+    ("name: [\n", ["line"]),
+    ("name: !!python/object/apply:os.system [ls]\n", ["constructor"]),
+    ("? [a, b]\n: 1\n", ["a key must be a word"]),
+    ("a: &x [1]\nb: *x\n", ["aliases", "line 2"]),
+    ("name: \x00\n", ["a.yaml"]),
+    ("[" * 100_000, ["nested too deeply"]),
+    ("name: " + "x" * 1_000_001, ["larger than 1000000 bytes"]),
+]
+
+
+def test_k33_bad_files_get_one_sentence(tmp_path, numeric_row):
+    wrong = []
+    for text, expected in BAD_YAML:
+        try:
+            parse_config(Config, ["--config", write(tmp_path / "a.yaml", text), "--data", "d"])
+            wrong.append(text[:60])
+        except UserError as error:
+            said = str(error)
+            wrong += [] if "\n" not in said and all(part in said for part in expected) else [(text[:60], said)]
+    print(wrong)
+    numeric_row(
+        "K33", f"{len(BAD_YAML)} files: tags, types, unknown and double keys, depth: accepted, or not named", len(wrong)
+    )
+
+
+def test_k33_a_tag_that_runs_a_command_does_not(tmp_path, numeric_row):
+    proof = tmp_path / "proof"
+    refused("--config", write(tmp_path / "a.yaml", f"name: !!python/object/apply:os.system ['touch {proof}']"))
+    numeric_row("K33", "a tag that runs a command: files that it made", proof.exists())
 
 
 def test_unreadable_files_get_one_sentence(tmp_path):
@@ -146,9 +161,10 @@ def test_unreadable_files_get_one_sentence(tmp_path):
     assert "latin.yaml" in refused("--config", str(tmp_path / "latin.yaml"))
 
 
-def test_an_alias_bomb_is_refused_before_it_is_walked(tmp_path):
+def test_k33_an_alias_bomb_is_refused_before_it_is_walked(tmp_path, numeric_row):
     lines = ["a0: &a0 [x]"] + [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 10)]
-    assert "aliases" in refused("--config", write(tmp_path / "a.yaml", "\n".join(lines)))
+    told = "aliases" in refused("--config", write(tmp_path / "a.yaml", "\n".join(lines)))
+    numeric_row("K33", "ten levels of nine aliases: not refused for its aliases", not told)
 
 
 @pytest.mark.parametrize(
@@ -235,11 +251,8 @@ def test_help_shows_every_field_with_its_sentence_and_default(capsys):
         ("raise UserError('a.png: broken; replace it.')", 2, "a.png: broken; replace it."),
         ("raise DataError('set', ['one', 'two'])", 2, "set: 2 problems\n  one\n  two"),
         ("raise KeyboardInterrupt", 130, "Interrupted."),
-        ("raise MemoryError", 1, "Out of memory"),
-        ("raise RuntimeError('CUDA out of memory. Tried to allocate 2 GiB')", 1, "Out of memory: CUDA"),
         ("raise OSError(28, 'No space left on device', 'x.png')", 1, "The disk is full"),
         ("raise NotADirectoryError(20, 'Not a directory', 'a/b')", 2, "a/b: Not a directory; give another path"),
-        ("import torch; torch.empty(1 << 60)", 1, "Out of memory"),
     ],
 )
 def test_run_main_statuses_and_sentences(capsys, body, status, words):
@@ -251,6 +264,24 @@ def test_run_main_statuses_and_sentences(capsys, body, status, words):
     error = capsys.readouterr().err
     assert words in error
     assert "Traceback" not in error
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        ("MemoryError", "Out of memory"),
+        ("RuntimeError('CUDA out of memory. Tried to allocate 2 GiB')", "Out of memory: CUDA"),
+        ("torch.empty(1 << 60)", "Out of memory"),
+    ],
+)
+def test_k24_out_of_memory_ends_in_a_sentence(capsys, error, words, numeric_row):
+    scope = {"torch": torch}
+    exec(f"def main():\n    raise {error}", scope)
+    with pytest.raises(SystemExit) as caught:
+        run_main(scope["main"])
+    said = capsys.readouterr().err
+    wrong = (caught.value.code != 1) + (words not in said) + ("use smaller batches" not in said) + ("Traceback" in said)
+    numeric_row("K24", f"{error.split('(')[0]}: no exit 1, or not in a sentence", wrong)
 
 
 def test_run_main_keeps_the_traceback_of_a_bug():
@@ -281,11 +312,20 @@ def test_a_reader_that_leaves_early_is_no_error():
     writer.stderr.close()
 
 
-def test_a_terminal_that_is_not_utf8(tmp_path):
+def test_k27_a_terminal_that_is_not_utf8(tmp_path, numeric_row):
     with open(tmp_path / "out", "wb") as out:
         done = run_script("print('sigma \\u03c3')", stdout=out, env={"PYTHONIOENCODING": "ascii", "PATH": ""})
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "out").read_bytes() == b"sigma \\u03c3\n"
+    lost = (tmp_path / "out").read_bytes() != b"sigma \\u03c3\n"
+    numeric_row("K27", "a Greek letter on a terminal of ASCII: lost", lost)
+
+
+def test_k27_closed_standard_streams_are_no_error(numeric_row):
+    """As a service manager or `>&- 2>&-` leaves them: Python then has no stream at all."""
+    code = script("print('x'); sys.stderr.write('y')")
+    code[-1] = "import sys\n" + code[-1]
+    done = subprocess.run(["sh", "-c", 'exec "$@" >&- 2>&-', "sh", *code], cwd=ROOT, timeout=60)
+    numeric_row("K27", "no standard output and no standard error: exit status", done.returncode)
 
 
 def test_a_full_disk_behind_standard_output():

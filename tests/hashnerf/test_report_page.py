@@ -1,12 +1,14 @@
 """The page and the figures of a run, whatever the system; tests/carff/test_report.py has more on real reports."""
 
+import dataclasses
 import json
+import math
 
 import pytest
 
 from hashnerf.errors import UserError
 from hashnerf.figure_style import new_figure, png_bytes
-from hashnerf.report_page import Panel, ReportKind, Section, write_report
+from hashnerf.report_page import Panel, ReportKind, Section, print_targets, write_report
 from hashnerf.report_tables import Table
 from hashnerf.run_info import RunInfo
 from hashnerf.targets import Target, judge, lookup
@@ -60,3 +62,25 @@ def test_required_keys_may_depend_on_the_results(tmp_path):
 def test_a_figure_that_no_section_shows_is_refused(tmp_path):
     with pytest.raises(ValueError, match="pathh"):
         write_report(tmp_path, KIND, RUN, {"drive": {"error_m": 0.2}}, {"pathh": b""})
+
+
+@pytest.mark.parametrize("preset", ["fast", "another"])
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_k22_a_figure_that_is_not_finite_is_no_success(tmp_path, capsys, preset, value, numeric_row):
+    """With or without a limit for it; the report itself is there to be looked at."""
+    write_report(tmp_path, KIND, dataclasses.replace(RUN, preset=preset), {"drive": {"error_m": value}}, {})
+    passed = []
+    with pytest.raises(UserError, match=r"total\.error_m not finite; a stage has broken down"):
+        print_targets(tmp_path)
+        passed.append(value)
+    assert "not finite" in capsys.readouterr().out
+    numeric_row("K22", f"a figure of {value}, preset '{preset}': exit 0", len(passed))
+
+
+def test_targets_are_printed(tmp_path, capsys):
+    write_report(tmp_path, KIND, RUN, {"drive": {"error_m": 0.2}}, {})
+    print_targets(tmp_path)
+    write_report(tmp_path, KIND, RUN, {"drive": {"error_m": None}}, {}, {"drive": "no road", "total": "no road"})
+    print_targets(tmp_path)
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split() for line in lines] == [["total.error_m", "0.2", "missed"], ["total.error_m", "not", "run"]]

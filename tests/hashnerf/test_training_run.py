@@ -1,5 +1,6 @@
 """A training run: resume bit for bit, refuse another config, keep the metrics consistent, stop when asked."""
 
+import contextlib
 import json
 import os
 import signal
@@ -11,7 +12,7 @@ import torch
 
 from hashnerf.checkpoints import checkpoint_steps, load_checkpoint
 from hashnerf.errors import DataError, UserError
-from hashnerf.training_run import TrainingRun, run_folder
+from hashnerf.training_run import TrainingRun
 
 
 class Average:
@@ -85,19 +86,19 @@ def finish(folder, total: int = 40) -> list[float]:
     return toy.train(folder, total=total).losses
 
 
-def assert_same_checkpoint(a, b, but=()) -> None:
-    """Every tensor of two runs' last checkpoints (weights, moments, averages, generators) is the same bit for bit."""
+def differences(a, b) -> list[str]:
+    """What is not the same bit for bit in two runs' last checkpoints: weights, moments, averages, generators, ..."""
     first, second = load_checkpoint(a / "checkpoints"), load_checkpoint(b / "checkpoints")
     assert first.step == second.step
     assert set(first.tensors) == set(second.tensors)
-    for name, tensor in first.tensors.items():
-        # Python's own stream is left out: the type checker that is live in tests draws from it.
-        assert torch.equal(tensor, second.tensors[name]) or name.startswith("random.python"), name
-    assert first.state["objects"] == second.state["objects"]
+    # Python's own stream is left out: the type checker that is live in tests draws from it.
+    names = [name for name in first.tensors if not name.startswith("random.python")]
+    different = [name for name in names if not torch.equal(first.tensors[name], second.tensors[name])]
+    return different + ["objects"] * (first.state["objects"] != second.state["objects"])
 
 
 @pytest.mark.parametrize("stops", [(20,), (7,), (8, 22, 39), (1,)])
-def test_resuming_is_bit_exact(tmp_path, stops):
+def test_k06_resuming_is_bit_exact(tmp_path, stops, numeric_row):
     whole = finish(tmp_path / "whole")
     start_random_numbers()
     for stop in stops:
@@ -107,13 +108,14 @@ def test_resuming_is_bit_exact(tmp_path, stops):
             start_random_numbers()  # nothing was saved: the next start is a fresh one
     last = Toy().train(tmp_path / "parts")
     assert last.losses == whole[-len(last.losses) :]
-    assert_same_checkpoint(tmp_path / "whole", tmp_path / "parts")
-    assert [line["loss"] for line in metrics(tmp_path / "parts")] == whole
     assert [line["step"] for line in metrics(tmp_path / "parts")] == list(range(40))
+    changed = sum(line["loss"] != loss for line, loss in zip(metrics(tmp_path / "parts"), whole))
+    changed += len(differences(tmp_path / "whole", tmp_path / "parts"))
+    numeric_row("K06", f"40 steps, stopped at {stops} and resumed: losses and tensors that differ", changed)
 
 
 @pytest.mark.parametrize("forgotten", ["optimizer", "schedule", "average", "data"])
-def test_the_comparison_would_notice_a_forgotten_part(tmp_path, monkeypatch, forgotten):
+def test_k06_the_comparison_would_notice_a_forgotten_part(tmp_path, monkeypatch, forgotten, numeric_row):
     finish(tmp_path / "whole")
     start_random_numbers()
     Toy().train(tmp_path / "parts", until=20)
@@ -123,8 +125,8 @@ def test_the_comparison_would_notice_a_forgotten_part(tmp_path, monkeypatch, for
     else:
         monkeypatch.setattr(type(getattr(toy, forgotten)), "load_state_dict", lambda self, state: None)
     toy.train(tmp_path / "parts")
-    with pytest.raises(AssertionError):
-        assert_same_checkpoint(tmp_path / "whole", tmp_path / "parts")
+    unnoticed = not differences(tmp_path / "whole", tmp_path / "parts")
+    numeric_row("K06", f"{forgotten} not restored: not noticed by this comparison", unnoticed)
 
 
 def test_a_finished_run_does_nothing(tmp_path, capsys):
@@ -159,7 +161,7 @@ def test_seconds_and_memory_add_up_over_processes(tmp_path):
         assert run.peak_memory_mb >= earlier["peak_memory_mb"]
 
 
-def test_another_config_is_refused_with_a_difference(tmp_path):
+def test_k07_another_config_is_refused_with_a_difference(tmp_path, numeric_row):
     config = {"rate": 0.02, "net": {"width": 4, "old": 1}}
     Toy().train(tmp_path, config=config, until=8)
     with (
@@ -170,8 +172,25 @@ def test_another_config_is_refused_with_a_difference(tmp_path):
     ):
         pass
     assert "choose another run name, or start over with --overwrite true" in str(caught.value)
+    accepted = []
+    for key, value in (("rate", 0.03), ("components", 4), ("steps", 80), ("dtype", "bfloat16"), ("processes", 2)):
+        with contextlib.suppress(UserError), Toy().run(tmp_path, config={**config, key: value}):
+            accepted.append(key)
     assert checkpoint_steps(tmp_path / "checkpoints") == [7]
-    Toy().train(tmp_path, config=config)  # the refusal has released the lock and harmed nothing
+    Toy().train(tmp_path, config=config)  # the refusals have released the lock and harmed nothing
+    numeric_row(
+        "K07", "another rate, K, number of steps, dtype, number of processes: resumed all the same", len(accepted)
+    )
+
+
+def test_k07_another_torch_is_told(tmp_path, monkeypatch, capsys, numeric_row):
+    """Not refused: weights stay good through an update, but nobody should expect the same bits."""
+    with monkeypatch.context() as patch:
+        patch.setattr(torch, "__version__", "2.0.0")
+        Toy().train(tmp_path, until=8)
+    Toy().train(tmp_path)
+    said = f"saved by torch 2.0.0, going on with {torch.__version__}, so not bit for bit" in capsys.readouterr().err
+    numeric_row("K07", "saved by another torch: resumed without a word", not said)
 
 
 def test_overwrite_starts_over(tmp_path):
@@ -199,7 +218,7 @@ def test_a_damaged_newest_checkpoint_costs_only_its_own_steps(tmp_path, caplog):
     again = Toy().train(tmp_path / "hurt")
     assert "falling back to step 35" in caplog.text
     assert again.losses == whole[35:]
-    assert_same_checkpoint(tmp_path / "whole", tmp_path / "hurt")
+    assert not differences(tmp_path / "whole", tmp_path / "hurt")
     assert len(metrics(tmp_path / "hurt")) == 40
 
 
@@ -257,7 +276,7 @@ def test_weights_that_are_not_finite_do_not_replace_a_good_checkpoint(tmp_path):
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_finishes_the_step_and_saves(tmp_path, capfd, number, status):
+def test_k08_a_signal_finishes_the_step_and_saves(tmp_path, capfd, number, status, numeric_row):
     before = signal.getsignal(number)
     with pytest.raises(SystemExit) as caught, Toy().run(tmp_path) as run:
         for step in run.steps():
@@ -266,7 +285,8 @@ def test_a_signal_finishes_the_step_and_saves(tmp_path, capfd, number, status):
                 reached = True
     assert reached
     assert caught.value.code == status
-    assert checkpoint_steps(tmp_path / "checkpoints") == [4]
+    lost = 4 - checkpoint_steps(tmp_path / "checkpoints")[-1]
+    numeric_row("K08", f"{number.name} in step 4, exit {status}: finished steps that are lost", lost)
     error = capfd.readouterr().err
     assert f"stopped by {number.name} and saved after step 4; run the same command to continue." in error
     assert signal.getsignal(number) is before
@@ -295,9 +315,15 @@ def test_an_error_in_the_loop_saves_nothing_and_frees_the_run(tmp_path):
     Toy().train(tmp_path)
 
 
-def test_two_trainings_in_one_folder_are_refused(tmp_path):
-    with Toy().run(tmp_path), pytest.raises(UserError, match="in use by process"), Toy().run(tmp_path):
-        pass
+def test_k09_two_trainings_in_one_folder_are_refused(tmp_path, numeric_row):
+    both = []
+    with (
+        Toy().run(tmp_path) as first,
+        pytest.raises(UserError, match="in use by process"),
+        Toy().run(tmp_path) as second,
+    ):
+        both = [first, second]
+    numeric_row("K09", "a second training in a run's folder: let in", len(both))
 
 
 def test_a_process_that_does_not_write_follows_silently(tmp_path, capsys):
@@ -312,7 +338,7 @@ def test_a_process_that_does_not_write_follows_silently(tmp_path, capsys):
     assert capsys.readouterr().err == ""
 
 
-def test_a_full_disk_while_logging(tmp_path):
+def test_k02_a_full_disk_while_logging(tmp_path, numeric_row):
     with Toy().run(tmp_path) as run:
         os.symlink("/dev/full", tmp_path / "metrics.jsonl")
         run._trimmed = True  # reading /dev/full would never end
@@ -320,9 +346,12 @@ def test_a_full_disk_while_logging(tmp_path):
             UserError, match=r"metrics.jsonl: cannot be written \(No space left on device\); No checkpoint"
         ):
             run.log(0, loss=1.0)
+    (tmp_path / "metrics.jsonl").unlink()
+    finished = len(Toy().train(tmp_path).losses)
+    numeric_row("K02", "metrics.jsonl on a full disk: steps that the next start lacks", 40 - finished)
 
 
-def test_a_full_disk_while_saving(tmp_path, monkeypatch):
+def test_k02_a_full_disk_while_saving(tmp_path, monkeypatch, numeric_row):
     toy = Toy()
     with (
         pytest.raises(
@@ -334,45 +363,16 @@ def test_a_full_disk_while_saving(tmp_path, monkeypatch):
             if step == 8:
                 monkeypatch.setattr(os, "fsync", lambda descriptor: (_ for _ in ()).throw(OSError(28, "No space left")))
     monkeypatch.undo()
-    assert checkpoint_steps(tmp_path / "checkpoints") == [7]
+    numeric_row("K02", "ENOSPC in a save: good checkpoints lost", 7 not in checkpoint_steps(tmp_path / "checkpoints"))
     Toy().train(tmp_path)
 
 
-def test_unusable_folders_and_numbers(tmp_path):
+def test_k03_unusable_folders_and_numbers(tmp_path, numeric_row):
     (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match="cannot be used as a run folder"), Toy().run(tmp_path / "file"):
-        pass
+    started = []
+    with pytest.raises(UserError, match="cannot be used as a run folder"), Toy().run(tmp_path / "file") as run:
+        started.append(run)
+    numeric_row("K03", "a file in the run folder's place: started all the same", len(started))
     for options in ({"total": 0}, {"save_every": 0}):
         with pytest.raises(UserError, match="at least 1"):
             Toy().run(tmp_path, **options)
-
-
-@pytest.mark.parametrize("name", ["a", "fast", "fast-2", "2026.01.02_x", "A" * 64])
-def test_good_run_names(tmp_path, name):
-    assert run_folder(tmp_path, name) == tmp_path / name
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "",
-        ".",
-        "..",
-        "../../x",
-        "-rf",
-        "a/b",
-        "a\\b",
-        "a\nb",
-        "a b",
-        "CON",
-        "nul.txt",
-        "com1",
-        "x.",
-        ".x",
-        "A" * 65,
-        "ä",
-    ],
-)
-def test_bad_run_names(tmp_path, name):
-    with pytest.raises(UserError, match="cannot name a run"):
-        run_folder(tmp_path, name)

@@ -73,7 +73,7 @@ def losses(folder: Path) -> list[tuple[int, float]]:
     return [(line["step"], line["loss"]) for line in lines]
 
 
-def test_killed_again_and_again_ends_with_the_same_bytes(tmp_path):
+def test_k01_killed_again_and_again_ends_with_the_same_bytes(tmp_path, numeric_row):
     """kill -9 at random moments, some of them inside a save: all that is saved equals an uninterrupted run's."""
     body = """
 assert end(start(root / "whole")) == 0
@@ -87,23 +87,27 @@ while (target := lines(root / "parts") + draw.randint(1, 20)) < 120:
 assert end(start(root / "parts")) == 0
 print(kills, "kills, done")
 """
-    assert int(run(body, tmp_path).stdout.split()[0]) >= 5
+    kills, different = int(run(body, tmp_path).stdout.split()[0]), 0
+    assert kills >= 5
     for step in (110, 120):
         whole, parts = (tmp_path / run / "checkpoints" / f"{step:07d}" for run in ("whole", "parts"))
-        assert (whole / "tensors.safetensors").read_bytes() == (parts / "tensors.safetensors").read_bytes()
-    assert losses(tmp_path / "whole") == losses(tmp_path / "parts")
+        different += (whole / "tensors.safetensors").read_bytes() != (parts / "tensors.safetensors").read_bytes()
+    different += sum(a != b for a, b in zip(losses(tmp_path / "whole"), losses(tmp_path / "parts")))
+    numeric_row("K01", f"{kills} kills of a training of 120 steps: files and losses that differ", different)
     assert [step for step, _ in losses(tmp_path / "parts")] == list(range(120))
     assert not [path for path in (tmp_path / "parts").rglob(".*") if path.name != ".lock"]
 
 
-def test_signals_and_full_disks_cost_nothing_but_time(tmp_path):
+def test_k02_k08_signals_and_full_disks_cost_nothing_but_time(tmp_path, numeric_row):
     """Signals save and exit 130 or 143, a second one kills; files may not grow past a limit, then they may again."""
     body = """
 for name, number, code in (("int", signal.SIGINT, 130), ("term", signal.SIGTERM, 143)):
     child = start(root / name, 20, 0.01)
     wait_for_lines(root / name, 6)
+    told = time.monotonic()
     os.kill(child, number)
     assert end(child) == code
+    print("waited", time.monotonic() - told)
 child = start(root / "stuck", 20, 1000.0)
 wait_for_lines(root / "stuck", 1)
 os.kill(child, signal.SIGTERM)
@@ -118,7 +122,8 @@ for name in ("int", "term", "save", "log"):
     assert end(start(root / name, 20)) == 0
 print("done")
 """
-    error = run(body, tmp_path).stderr
+    done = run(body, tmp_path)
+    error = done.stderr
     assert "stopped by SIGINT and saved after step" in error
     assert "stopped by SIGTERM and saved after step" in error
     assert "continuing after step" in error
@@ -130,6 +135,9 @@ print("done")
     assert "Traceback" not in error
     expected = losses(tmp_path / "int")
     assert [step for step, _ in expected] == list(range(20))
-    for name in ("term", "save", "log"):
-        assert losses(tmp_path / name) == expected, name
-        assert checkpoint_steps(tmp_path / name / "checkpoints")[-1] == 20
+    for row, name in (("K08", "term"), ("K02", "save"), ("K02", "log")):
+        different = sum(a != b for a, b in zip(losses(tmp_path / name), expected, strict=True))
+        different += checkpoint_steps(tmp_path / name / "checkpoints")[-1] != 20
+        numeric_row(row, f"stopped by '{name}' and started again: losses that differ", different)
+    waits = [float(line.split()[1]) for line in done.stdout.splitlines() if line.startswith("waited")]
+    numeric_row("K08", "seconds from SIGINT or SIGTERM to the exit", max(waits), 10.0)

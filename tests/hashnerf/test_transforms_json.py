@@ -17,39 +17,49 @@ VIEWS = [(0, 0, 0), (0, 0, 1), (1, 0, 0)]
 BOX = {"branch": 1, "step": 0, "center": [1, 2.5, 0], "size": [4, 2, 1.5], "yaw": 0.1}
 
 
-@pytest.mark.parametrize(
-    "text, sentence",
-    [
-        (b'{"frames": [NaN]}', "the token NaN in line 1 is not JSON"),
-        (b'{"name": "NaN",\n "w": 1,\n "h":\n NaN}', "the token NaN in line 4 is not JSON"),
-        (b'{"note": "x, NaN", \n"h": NaN}', "the token NaN in line 2 is not JSON"),
-        (b'{"w": -Infinity}', "the token -Infinity in line 1 is not JSON"),
-        (b'{"w": 1e999}', "1e999 is too large"),
-        (b'{"w": ' + b"9" * 5000 + b"}", "is not strict JSON"),
-        (b'{"w": 1, "h": 2, "w": 3}', "the key 'w' appears twice"),
-        (b'{"frames": [{"a": 1, "a": 1}]}', "the key 'a' appears twice"),
-        (b"[" * 100_000 + b"]" * 100_000, "nested too deeply"),
-        (b'{"a":' * 60 + b"1" + b"}" * 60, "nested too deeply"),
-        (b'{"frames": [', "is not strict JSON"),
-        (b"", "is not strict JSON"),
-        (b"[]", "the top level is a list"),
-        (b'{"name": "\xff"}', "is not UTF-8 text (byte 10)"),
-    ],
-)
-def test_a_broken_file_is_named(tmp_path, text, sentence):
-    path = tmp_path / "transforms.json"
-    path.write_bytes(text)
-    with pytest.raises(UserError) as caught:
-        read_transforms(path)
-    assert sentence in str(caught.value) and str(path) in str(caught.value)
+BROKEN = [
+    (b'{"frames": [NaN]}', "the token NaN in line 1 is not JSON"),
+    (b'{"name": "NaN",\n "w": 1,\n "h":\n NaN}', "the token NaN in line 4 is not JSON"),
+    (b'{"note": "x, NaN", \n"h": NaN}', "the token NaN in line 2 is not JSON"),
+    (b'{"w": -Infinity}', "the token -Infinity in line 1 is not JSON"),
+    (b'{"w": 1e999}', "1e999 is too large"),
+    (b'{"w": ' + b"9" * 5000 + b"}", "is not strict JSON"),
+    (b'{"w": 1, "h": 2, "w": 3}', "the key 'w' appears twice"),
+    (b'{"frames": [{"a": 1, "a": 1}]}', "the key 'a' appears twice"),
+    (b"[" * 100_000 + b"]" * 100_000, "nested too deeply"),
+    (b'{"a":' * 60 + b"1" + b"}" * 60, "nested too deeply"),
+    (b'{"frames": [', "is not strict JSON"),
+    (b"", "is not strict JSON"),
+    (b"[]", "the top level is a list"),
+    (b'{"name": "\xff"}', "is not UTF-8 text (byte 10)"),
+]
 
 
-def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
-    path = tmp_path / "transforms.json"
-    with path.open("wb") as file:
-        file.truncate(201 * 2**20)  # sparse: takes no disk
-    with pytest.raises(UserError, match="201 MB is over the limit of 200 MB"):
-        read_transforms(path)
+def test_k34_a_broken_file_is_named(tmp_path, numeric_row):
+    path, wrong = tmp_path / "transforms.json", []
+    for text, sentence in BROKEN:
+        path.write_bytes(text)
+        try:
+            read_transforms(path)
+            wrong.append(text[:40])
+        except UserError as error:
+            wrong += [] if sentence in str(error) and str(path) in str(error) else [(text[:40], str(error))]
+    print(wrong)
+    numeric_row("K34", f"{len(BROKEN)} texts: NaN, twice a key, 1e5 levels, ...: read, or not named", len(wrong))
+
+
+def test_k34_a_huge_file_is_refused_before_it_is_read(tmp_path, monkeypatch, numeric_row):
+    path, read = tmp_path / "transforms.json", []
+    for size in (201 * 2**20, 2**30):
+        with path.open("wb") as file:
+            file.truncate(size)  # sparse: takes no disk
+        with (
+            monkeypatch.context() as patch,
+            pytest.raises(UserError, match=f"{size >> 20} MB is over the limit of 200"),
+        ):
+            patch.setattr(type(path), "read_bytes", lambda self: read.append(self) or b"")
+            read_transforms(path)
+    numeric_row("K34", "files of 201 MB and 1 GB: read", len(read))
 
 
 @pytest.mark.parametrize("kind", ["missing", "folder", "fifo"])

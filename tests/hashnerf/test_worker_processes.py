@@ -56,6 +56,22 @@ def test_an_error_comes_through(workers):
         list(map_in_processes(failing, range(8), workers))
 
 
+def killed():
+    def work(number: int) -> int:
+        if number == 3:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return number
+
+    return work
+
+
+def test_k25_a_killed_worker_is_told_and_waited_for_by_nobody(numeric_row):
+    results = []
+    with pytest.raises(UserError, match="a worker process was killed"):
+        results.extend(map_in_processes(killed, range(64), 2))
+    numeric_row("K25", "one of two workers killed: results of work that was not done", sum(n >= 3 for n in results))
+
+
 def unprepared():
     raise UserError("runs/x: no field here; run scripts/train_road_nerf.py first")
 

@@ -44,6 +44,15 @@ def test_the_loader_accepts_it(small):
     assert frame.file_path == f"images/b{frame.branch}_s{frame.step}_c{frame.camera:03d}.png"
 
 
+def test_k46_no_picture_is_in_two_splits(small, numeric_row):
+    folder, document = small
+    digests = {"train": set(), "test": set()}
+    for frame in document["frames"]:
+        digests[frame["split"]].add(hashlib.sha256((folder / frame["file_path"]).read_bytes()).hexdigest())
+    assert len(digests["test"]) > 20
+    numeric_row("K46", "600 pictures of a crossing: in both splits", len(digests["train"] & digests["test"]))
+
+
 def test_the_document_is_what_is_on_disk(small):
     folder, document = small
     assert read_transforms(folder / "transforms.json") == document
