@@ -16,8 +16,8 @@ PROVENANCE = ("name", "scenario", "preset", "command", "machine", "date", "commi
 def read_reports(runs: Sequence[Path], script: str) -> list[dict]:
     """Returns the report.json of every run folder.
 
-    Raises UserError, which names the `script` that writes such reports, for a run without one, for no run at all and for
-    two folders of one name, whose copies would be one file.
+    Raises UserError, which names the `script` that writes such reports, for a run without one, for no run at all and
+    for two folders of one name, whose copies would be one file.
     """
     twice = [run for number, run in enumerate(runs) if run.name in [other.name for other in runs[:number]]]
     if twice:
