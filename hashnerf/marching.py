@@ -86,10 +86,13 @@ def march(
     settings: MarchSettings,
     generator: torch.Generator | None = None,
     density_fn: DensityFn | None = None,
+    look_at_ends: bool = False,
 ) -> Samples:
     """Sample rays where the grid is occupied and not hidden behind what is always opaque; jittered with a generator.
 
-    `density_fn` is asked where `settings.guided_per_opacity` wants it; without one rays are sampled once.
+    `density_fn` is asked where `settings.guided_per_opacity` wants it; without one rays are sampled once. What is usual
+    in front of a surface may not be there: a ray that skims a road passes over many cells that touch the asphalt. With
+    `look_at_ends` a ray is looked at where it is known to end whatever is usual in front.
     """
     near, far, hit = intersect_box(rays.origins, rays.directions, occupancy.box, settings.near)
     start, dt = intervals(near, far, settings)
@@ -102,9 +105,9 @@ def march(
         thickness = lowest.mul_(dt)
         # exclusive by subtraction: rounding moves a ray's end by nothing that counts
         before = torch.cumsum(thickness, dim=1).sub_(thickness)
-        certain = torch.expm1(-thickness).neg_().mul_(torch.exp(-before))
+        certain = torch.expm1(-thickness).neg_().mul_(torch.exp(-before)) if look_at_ends else None
     else:
-        before = certain = torch.zeros_like(dt)
+        before, certain = torch.zeros_like(dt), None
     if settings.stop_transmittance > 0:
         mask &= before <= -math.log(settings.stop_transmittance)
     if not settings.samples:
@@ -112,9 +115,8 @@ def march(
     hidden = usual.mul_(dt).clamp_(max=MOST_HIDDEN)
     hidden = torch.cumsum(hidden, dim=1).sub_(hidden)
     expected = torch.expm1(highest.mul_(dt).neg_()).neg_().mul_(torch.exp(hidden.neg_()))
-    # what is usual in front may not be there: a ray that skims a road passes over many cells that touch the asphalt,
-    # and must still be looked at where it is known to end
-    expected = torch.maximum(expected, certain)
+    if certain is not None:
+        expected = torch.maximum(expected, certain)
     strata = Strata.of(start, dt, expected, mask, settings.samples_per_opacity, settings.samples)
     if density_fn is None or not settings.guided_per_opacity:
         return draw_samples(strata, generator)

@@ -50,12 +50,13 @@ def render(
     background_fn: BackgroundFn | None = None,
     generator: torch.Generator | None = None,
     density_fn: DensityFn | None = None,
+    look_at_ends: bool = False,
 ) -> Rendering:
     """Render rays; sample positions are jittered with a generator, interval middles without.
 
-    `density_fn` is the field's density alone, for marching that is guided by it.
+    `density_fn` is the field's density alone, for marching that is guided by it; `look_at_ends` is as in `march`.
     """
-    samples = march(rays, occupancy, settings, generator, density_fn)
+    samples = march(rays, occupancy, settings, generator, density_fn, look_at_ends)
     shape = samples.mask.shape
     place, ray_index = samples.places()
     directions = rays.directions[ray_index]
@@ -106,6 +107,7 @@ def render_image(
             background_fn,
             None,
             density_fn,
+            look_at_ends=True,  # for pictures; fields that are trained with it are a little worse (docs/results)
         )
         for start in range(0, len(rays), rays_at_once)
     ]

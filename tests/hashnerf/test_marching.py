@@ -197,7 +197,7 @@ def test_rays_that_skim_the_ground_meet_it(guided, usually_off):
     directions = unit_directions(torch.stack([torch.ones(300), torch.zeros(300), -falls], dim=1))
     rays = Rays(torch.tensor([[-4.9, 0.1, 0.74]]).repeat(300, 1), directions)
     settings = MarchSettings(candidates=64, guided_per_opacity=guided)
-    samples = march(rays, grid_of(ground), settings, None, lambda positions, ray: ground(positions))
+    samples = march(rays, grid_of(ground), settings, None, lambda positions, ray: ground(positions), look_at_ends=True)
     positions = rays.origins[:, None] + directions[:, None] * samples.t[:, :, None]
     weights, _ = sample_weights(ground(positions.view(-1, 3)).view(samples.t.shape), samples.dt)
     assert weights.sum(dim=1).min() > 0.9
