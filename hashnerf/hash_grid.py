@@ -214,9 +214,10 @@ class HashGrid(nn.Module):
         )
         self.register_buffer("box", box.detach().clone(), persistent=False)
         last = self.plan[-1]
-        if max(level.entries for level in self.plan) * features > MOST_NUMBERS:
+        most = max(level.entries for level in self.plan)
+        if most * features > MOST_NUMBERS:
             raise UserError(
-                f"a hash grid level of {last.entries} entries with features_per_level {features} holds more than "
+                f"a hash grid level of {most} entries with features_per_level {features} holds more than "
                 f"{MOST_NUMBERS} numbers: use a smaller log2_table_size or fewer features"
             )
         numbers = last.offset + last.entries * features
