@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from carff.augmentation import jitter_pictures
 from hashnerf.errors import UserError
+from hashnerf.low_precision import multiplies_bfloat16
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
@@ -108,8 +109,8 @@ class ConvEncoder(nn.Module):
         if generator is not None and self.augment > 0:
             x = jitter_pictures(x, self.augment, generator)
         x = (x - 0.5).contiguous(memory_format=torch.channels_last)
-        # bfloat16 where the processor multiplies it faster; the belief itself is single precision.
-        with torch.autocast(x.device.type, dtype=torch.bfloat16):
+        # only where it is faster; the belief itself is single precision
+        with _fastest_products(x.device.type):
             features = self.trunk(x)
         return self.head(features.float())
 
@@ -147,7 +148,7 @@ class VitEncoder(nn.Module):
         for part in pictures.split(batch):
             x = part.to(device).permute(0, 3, 1, 2).float() / 255.0
             x = nn.functional.interpolate(x, (self.input_size, self.input_size), mode="bilinear", antialias=True)
-            with torch.autocast(device.type, dtype=torch.bfloat16):
+            with _fastest_products(device.type):
                 tokens = backbone(pixel_values=(x - mean) / std).last_hidden_state
             tokens = tokens.float()
             rows.append(torch.cat([tokens[:, 0], tokens[:, 1:].mean(dim=1)], dim=-1))
@@ -159,6 +160,10 @@ class VitEncoder(nn.Module):
         """Returns mean and raw log-variance of prepared features."""
         del generator  # cached features cannot be jittered
         return self.head(prepared)
+
+
+def _fastest_products(device_type: str) -> torch.autocast:
+    return torch.autocast(device_type, dtype=torch.bfloat16, enabled=multiplies_bfloat16(device_type))
 
 
 def load_vit(model: str) -> nn.Module:

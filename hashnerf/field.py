@@ -64,7 +64,8 @@ class FieldConfig:
     """About the greatest optical thickness of a cell of the finest level along z (4 leaves 2 % of the light): beyond it
     the logarithm of the density grows at a hundredth of the rate."""
     mlp_dtype: Literal["float32", "bfloat16"] = "float32"
-    """Arithmetic of the networks; everything else stays float32."""
+    """Arithmetic of the networks; everything else stays float32. bfloat16 counts only where the device multiplies it in
+    hardware: emulated it is twenty times slower than float32."""
     compile: bool = False
     """Compile the hash grid with torch.compile where a compiler works."""
 

@@ -1,8 +1,9 @@
 """Small bias-free ReLU networks, evaluated a cache-sized block of rows at a time.
 
 A chain of 64-wide layers over 100,000 rows is limited by memory, not by arithmetic; block by block its activations stay
-in the cache. The forward pass keeps the activations of every block for the backward pass. Products run in the dtype
-asked for (bfloat16 has the range of float32); weights, their gradients and the output stay float32 (or float64).
+in the cache. The forward pass keeps the activations of every block for the backward pass. In low precision products are
+bfloat16 (which has the range of float32) where the device multiplies it in hardware; weights, their gradients and the
+output stay float32 (or float64).
 """
 
 from collections.abc import Sequence
@@ -11,6 +12,8 @@ from itertools import pairwise
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+
+from hashnerf.low_precision import multiplies_bfloat16
 
 BLOCK = 4096  # rows: 4096 x 64 activations of 2 bytes fit the second-level cache several times
 GRAIN = 512  # a last block is filled up to a multiple: half-precision products of a size not met before cost 2 ms each
@@ -94,7 +97,9 @@ class MLP(nn.Module):
     @property
     def dtype(self) -> torch.dtype:
         """Arithmetic of the products."""
-        return torch.bfloat16 if self.low_precision else self.weights[0].dtype
+        weight = self.weights[0]
+        low = self.low_precision and multiplies_bfloat16(weight.device.type)
+        return torch.bfloat16 if low else weight.dtype
 
     def forward(self, parts: Sequence[Float[Tensor, "n _"]]) -> Float[Tensor, "n outputs"]:
         """Apply the network to the columns of all parts side by side."""

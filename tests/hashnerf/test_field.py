@@ -6,7 +6,7 @@ import logging
 import pytest
 import torch
 
-from hashnerf import compiling
+from hashnerf import compiling, mlp
 from hashnerf.errors import UserError
 from hashnerf.field import Field, FieldConfig
 from hashnerf.rays import Rays, unit_directions
@@ -113,7 +113,8 @@ def test_no_samples_still_connect_every_parameter():
         assert (parameter.grad == 0).all()
 
 
-def test_bfloat16_networks_are_close():
+def test_bfloat16_networks_are_close(monkeypatch):
+    monkeypatch.setattr(mlp, "multiplies_bfloat16", lambda device_type: True)
     exact = trained_like()
     low = Field(dataclasses.replace(SMALL, mlp_dtype="bfloat16"), BOX, 3)
     low.load_state_dict(exact.state_dict())

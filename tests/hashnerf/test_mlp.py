@@ -50,7 +50,20 @@ def test_gradient_check():
     assert torch.autograd.gradcheck(run, (x, *weights))
 
 
-def test_bfloat16_is_close_and_returns_float32():
+@pytest.fixture
+def bfloat16_units(monkeypatch):
+    monkeypatch.setattr(mlp, "multiplies_bfloat16", lambda device_type: True)
+
+
+def test_without_units_for_bfloat16_products_are_float32(monkeypatch):
+    monkeypatch.setattr(mlp, "multiplies_bfloat16", lambda device_type: False)
+    exact, low = MLP(6, 16, 2, 3), MLP(6, 16, 2, 3, low_precision=True)
+    low.load_state_dict(exact.state_dict())
+    x = torch.randn(9, 6)
+    assert torch.equal(low([x]), exact([x]))
+
+
+def test_bfloat16_is_close_and_returns_float32(bfloat16_units):
     exact, low = MLP(24, 64, 2, 3), MLP(24, 64, 2, 3, low_precision=True)
     low.load_state_dict(exact.state_dict())
     x = torch.randn(5000, 24)
@@ -64,7 +77,7 @@ def test_bfloat16_is_close_and_returns_float32():
         assert (a - b).norm() / b.norm() < 0.1
 
 
-def test_n131_weights_multiplied_in_half_precision_move_by_small_steps(numeric_row):
+def test_n131_weights_multiplied_in_half_precision_move_by_small_steps(numeric_row, bfloat16_units):
     network = MLP(4, 8, 0, 2, low_precision=True)  # of one layer: its gradient stays the same
     for weight in network.weights:
         torch.nn.init.ones_(weight)
@@ -78,7 +91,7 @@ def test_n131_weights_multiplied_in_half_precision_move_by_small_steps(numeric_r
 
 
 @pytest.mark.parametrize("low", [False, True])
-def test_an_outer_autocast_changes_nothing(low):
+def test_an_outer_autocast_changes_nothing(low, bfloat16_units):
     network = MLP(6, 16, 2, 3, low)
     x = torch.randn(9, 6, requires_grad=True)
     with torch.autocast("cpu", dtype=torch.bfloat16):
@@ -98,7 +111,7 @@ def test_the_bank_equals_one_condition_at_a_time(bank):
 
 
 @pytest.mark.parametrize("rows", [1, 511, 512, 700, 4097])
-def test_rows_that_fill_a_half_precision_block_change_nothing(rows):
+def test_rows_that_fill_a_half_precision_block_change_nothing(rows, bfloat16_units):
     torch.manual_seed(0)
     network, x = MLP(6, 16, 2, 3, low_precision=True), torch.randn(rows, 6)
     whole = torch.nn.functional.pad(x, (0, 0, 0, -rows % mlp.GRAIN))

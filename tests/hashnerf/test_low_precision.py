@@ -1,0 +1,30 @@
+import pytest
+import torch
+
+from hashnerf.low_precision import multiplies_bfloat16
+
+
+@pytest.fixture(autouse=True)
+def asked_anew():
+    multiplies_bfloat16.cache_clear()
+    yield
+    multiplies_bfloat16.cache_clear()
+
+
+@pytest.mark.parametrize("avx512, amx, expected", [(False, False, False), (True, False, True), (False, True, True)])
+def test_a_processor_needs_units_for_bfloat16(monkeypatch, avx512, amx, expected):
+    monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda: avx512)
+    monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: amx)
+    assert multiplies_bfloat16("cpu") is expected
+
+
+def test_a_gpu_is_asked_whether_it_emulates(monkeypatch):
+    asked = {}
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda **options: asked.update(options) or False)
+    assert not multiplies_bfloat16("cuda")
+    assert asked == {"including_emulation": False}
+
+
+def test_an_unknown_kind_of_device_gets_float32():
+    assert not multiplies_bfloat16("mps")
