@@ -10,6 +10,7 @@ points are [x, y, z], and no height is told. The entry may also stand in a JSON 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -45,11 +46,11 @@ class RoadNetwork:
 
     def distance(self, points: Float[Tensor, "n 2"]) -> Float[Tensor, " n"]:
         """Distance of each point to the nearest centre line, metres."""
-        return torch.stack([distance_to_line(line, points) for line in self.lines]).amin(dim=0)
+        return self.nearest(points)[1]
 
     def sample(self, count: int, generator: torch.Generator) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
         """Draws points spread evenly over the roads' surfaces; returns them and the colours they should have."""
-        starts, steps, colour, base, rise = self._pieces()
+        starts, steps, colour, base, rise = self._pieces
         weight = steps.norm(dim=1)
         piece = torch.multinomial(weight, count, replacement=True, generator=generator)
         along = torch.rand(count, 1, generator=generator)
@@ -62,11 +63,16 @@ class RoadNetwork:
 
     def heights_at(self, points: Float[Tensor, "n 2"]) -> Float[Tensor, " n"]:
         """Height of the road at the place on the centre lines nearest to each point, metres."""
-        starts, steps, _, base, rise = self._pieces()
-        share, away = _nearest_on(starts, steps, points.float())
-        piece = away.argmin(dim=1)
-        return base[piece] + share.gather(1, piece[:, None])[:, 0] * rise[piece]
+        return self.nearest(points.float())[0]
 
+    def nearest(self, points: Float[Tensor, "n 2"]) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
+        """Height of the road at the nearest place on the centre lines, and how far away it is, metres."""
+        starts, steps, _, base, rise = self._pieces
+        share, away = _nearest_on(starts, steps, points)
+        distance, piece = away.min(dim=1)
+        return base[piece] + share.gather(1, piece[:, None])[:, 0] * rise[piece], distance
+
+    @cached_property
     def _pieces(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         starts = torch.cat([line[:-1] for line in self.lines])
         steps = torch.cat([line[1:] - line[:-1] for line in self.lines])
@@ -195,9 +201,11 @@ def _nearest_on(
     starts: Float[Tensor, "pieces 2"], steps: Float[Tensor, "pieces 2"], points: Float[Tensor, "n 2"]
 ) -> tuple[Float[Tensor, "n pieces"], Float[Tensor, "n pieces"]]:
     """Where on each piece the place nearest to each point lies (0 to 1), and how far away it is (m)."""
-    offset = points[:, None] - starts
-    share = ((offset * steps).sum(dim=-1) / steps.square().sum(dim=-1)).clamp(0, 1)
-    return share, (offset - share[..., None] * steps).norm(dim=-1)
+    (x, y), (along_x, along_y) = points.unbind(dim=1), steps.unbind(dim=1)
+    # plane by plane: sums over an axis of two numbers are slow
+    offset_x, offset_y = x[:, None] - starts[:, 0], y[:, None] - starts[:, 1]
+    share = ((offset_x * along_x + offset_y * along_y) / steps.square().sum(dim=1)).clamp(0, 1)
+    return share, torch.hypot(offset_x - share * along_x, offset_y - share * along_y)
 
 
 def _colours(colour: Any, count: int, source: str) -> Float[Tensor, "lines 3"]:

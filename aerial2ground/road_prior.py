@@ -118,6 +118,7 @@ def _ways_along(
     usable = torch.ones(len(ground), dtype=torch.bool)
     for share in (0.25, 0.5, 0.75, 1.0):
         place = ground + share * way
-        above = place[:, 2] - network.heights_at(place[:, :2])
-        usable &= (network.distance(place[:, :2]) <= network.width / 2) & (above > 0) & (above <= car_height)
+        road, distance = network.nearest(place[:, :2])
+        above = place[:, 2] - road
+        usable &= (distance <= network.width / 2) & (above > 0) & (above <= car_height)
     return way, usable

@@ -11,6 +11,7 @@ ValueError.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 
@@ -80,79 +81,111 @@ def spatial_hash(vertex: Int[Tensor, "n 3"], table_size: int) -> Int[Tensor, " n
     return (x ^ (y * PRIMES[1]) ^ (z * PRIMES[2])) & (table_size - 1)
 
 
+# Kernels work on planes: coordinates [3, n], features [features, n]. Along a plane both the compiler and the library
+# use the processor's wide registers; along the two features of a point most of them would stay empty. Every kernel
+# takes one level: lattice coordinates x, its table [entries * features], and what `HashGrid.lattice` tells.
+
+
 def _cell(x: Tensor, last_cell: Tensor) -> tuple[Tensor, Tensor]:
     """Split lattice coordinates into cell index and fraction; the upper face belongs to the last cell (fraction 1)."""
-    cell = torch.minimum(torch.floor(x), last_cell.to(x.dtype))
+    cell = torch.minimum(torch.floor(x), last_cell.to(x.dtype)[:, None])
     return cell.to(torch.int32), x - cell
 
 
-def _indices(cell: Tensor, multiplier: Tensor, mask: int, hashed: bool) -> list[Tensor]:
-    """Table entries of a cell's eight vertices, x slowest."""
-    low = [cell[:, axis] * multiplier[axis] for axis in range(3)]
-    x, y, z = [(value, value + multiplier[axis]) for axis, value in enumerate(low)]
-    if hashed:
-        pairs = [a ^ b for a, b in product(x, y)]
-        return [(pair ^ c) & mask for pair, c in product(pairs, z)]
-    pairs = [a + b for a, b in product(x, y)]
-    return [pair + c for pair, c in product(pairs, z)]
+def _sides(fraction: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Weights [2, n] of the lower and the upper vertex along each axis."""
+    return torch.stack([1 - fraction, fraction], dim=1).unbind()
 
 
-def _weights(fraction: Tensor) -> list[Tensor]:
-    """Trilinear weights in the order of `_indices`."""
-    x, y, z = [(1 - fraction[:, axis], fraction[:, axis]) for axis in range(3)]
-    pairs = [a * b for a, b in product(x, y)]
-    return [pair * c for pair, c in product(pairs, z)]
-
-
-def _gather(x: Tensor, table: Tensor, last_cell: Tensor, multiplier: Tensor, mask: int, hashed: bool) -> Tensor:
-    """Interpolate one level; written for the compiler, which fuses it into one pass over the points."""
+def _corners(
+    x: Tensor, last_cell: Tensor, multiplier: Tensor, mask: int, hashed: bool
+) -> tuple[Int[Tensor, "8 n"], Float[Tensor, "8 n"]]:
+    """Table entries of a cell's eight vertices, x slowest, and their trilinear weights: a few operations on large
+    tensors, for the library."""
     cell, fraction = _cell(x, last_cell)
-    total = torch.zeros_like(table[:1])
-    for index, weight in zip(_indices(cell, multiplier, mask, hashed), _weights(fraction)):
-        total = total + table[index] * weight[:, None]
-    return total
+    low = cell * multiplier[:, None]
+    x, y, z = torch.stack([low, low + multiplier[:, None]], dim=1)
+    across, along, up = _sides(fraction)
+    weight = (across[:, None] * along)[:, :, None] * up
+    index = ((x[:, None] ^ y)[:, :, None] ^ z) & mask if hashed else (x[:, None] + y)[:, :, None] + z
+    return index.view(8, -1), weight.view(8, -1)
 
 
-def _gather_eager(x: Tensor, table: Tensor, last_cell: Tensor, multiplier: Tensor, mask: int, hashed: bool) -> Tensor:
-    """The same, as one library call that gathers and sums without a compiler."""
+def _corners_one_by_one(
+    x: Tensor, last_cell: Tensor, multiplier: Tensor, mask: int, hashed: Tensor
+) -> tuple[list[Tensor], list[Tensor]]:
+    """The same as eight planes each: many operations, for the compiler, which fuses them and stores none of them.
+
+    `hashed` is a tensor, so that all levels share one compiled kernel.
+    """
     cell, fraction = _cell(x, last_cell)
-    index = torch.stack(_indices(cell, multiplier, mask, hashed), dim=1)
-    weight = torch.stack(_weights(fraction), dim=1)
-    return nn.functional.embedding_bag(index, table, per_sample_weights=weight, mode="sum")
+    low = cell * multiplier[:, None]
+    x, y, z = zip(low, low + multiplier[:, None])
+    pairs = [(a ^ b, a + b) for a, b in product(x, y)]
+    indices = [torch.where(hashed, (mixed ^ c) & mask, sum_ + c) for (mixed, sum_), c in product(pairs, z)]
+    across, along, up = zip(1 - fraction, fraction)
+    shares = [a * b for a, b in product(across, along)]
+    return indices, [share * c for share, c in product(shares, up)]
 
 
-def _spread(
-    x: Tensor, gradient: Tensor, last_cell: Tensor, multiplier: Tensor, mask: int, hashed: bool
-) -> tuple[Tensor, Tensor]:
-    """Return the table entries [8, n] that a point's gradient goes to and its eight shares [8, n, features]."""
-    cell, fraction = _cell(x, last_cell)
-    index = torch.stack(_indices(cell, multiplier, mask, hashed))
-    return index, torch.stack([gradient * weight[:, None] for weight in _weights(fraction)])
+def _gather(x: Tensor, table: Tensor, features: int, *lattice) -> Tensor:
+    """Interpolate one level in one pass over the points."""
+    total = [torch.zeros_like(x[0]) for _ in range(features)]
+    for index, weight in zip(*_corners_one_by_one(x, *lattice)):
+        first = index * features
+        total = [plane + table[first + feature] * weight for feature, plane in enumerate(total)]
+    return torch.stack(total)
 
 
-def _slope(x: Tensor, gradient: Tensor, table: Tensor, last_cell: Tensor, multiplier: Tensor, mask: int, hashed: bool):
-    """Gradient with respect to the lattice coordinates [n, 3]."""
-    cell, fraction = _cell(x, last_cell)
-    indices = _indices(cell, multiplier, mask, hashed)
-    pull = torch.stack([(table.index_select(0, index) * gradient).sum(dim=1) for index in indices]).view(2, 2, 2, -1)
-    low, high = (1 - fraction).unbind(dim=1), fraction.unbind(dim=1)
-    weights = [torch.stack(pair) for pair in zip(low, high)]
-    along_x = torch.einsum("bcn,bn,cn->n", pull[1] - pull[0], weights[1], weights[2])
-    along_y = torch.einsum("acn,an,cn->n", pull[:, 1] - pull[:, 0], weights[0], weights[2])
-    along_z = torch.einsum("abn,an,bn->n", pull[:, :, 1] - pull[:, :, 0], weights[0], weights[1])
-    return torch.stack([along_x, along_y, along_z], dim=1)
+def _gather_eager(x: Tensor, table: Tensor, features: int, *lattice) -> Tensor:
+    """The same without a compiler."""
+    index, weight = _corners(x, *lattice)
+    return torch.stack([(values * weight).sum(dim=0) for values in _look_up(table, index, features)])
 
 
-def _add_rows(table: Tensor, index: Tensor, rows: Tensor) -> None:
-    """Add rows [m, features] to table rows in place; pairs of features travel as one complex number.
+def _look_up(table: Tensor, index: Tensor, features: int) -> list[Tensor]:
+    """Each feature of some entries."""
+    first = index.view(-1) * features
+    return [table[feature:].index_select(0, first).view(index.shape) for feature in range(features)]
+
+
+def _spread(x: Tensor, gradient: Tensor, *lattice) -> tuple[Tensor, Tensor]:
+    """Return the table entries [8, n] that a point's gradient goes to and its eight shares [features, 8, n]."""
+    indices, weights = _corners_one_by_one(x, *lattice)
+    return torch.stack(indices), gradient[:, None] * torch.stack(weights)
+
+
+def _spread_eager(x: Tensor, gradient: Tensor, *lattice) -> tuple[Tensor, Tensor]:
+    """The same without a compiler."""
+    index, weight = _corners(x, *lattice)
+    return index, gradient[:, None] * weight
+
+
+def _slope(x: Tensor, gradient: Tensor, table: Tensor, *lattice) -> Tensor:
+    """Gradient with respect to the lattice coordinates [3, n]."""
+    index, _ = _corners(x, *lattice)
+    across, along, up = _sides(_cell(x, lattice[0])[1])
+    pull = sum(values * plane for values, plane in zip(_look_up(table, index, len(gradient)), gradient))
+    pull = pull.view(2, 2, 2, -1)
+    return torch.stack(
+        [
+            ((pull[1] - pull[0]) * along[:, None] * up).sum(dim=(0, 1)),
+            ((pull[:, 1] - pull[:, 0]) * across[:, None] * up).sum(dim=(0, 1)),
+            ((pull[:, :, 1] - pull[:, :, 0]) * across[:, None] * along).sum(dim=(0, 1)),
+        ]
+    )
+
+
+def _add_shares(table: Tensor, index: Tensor, shares: Tensor) -> None:
+    """Add shares [features, m] to the entries of a table in place; pairs of features travel as one complex number.
 
     One-dimensional `index_add_` over complex numbers is the fastest scatter of PyTorch on a processor.
     """
     target = torch.view_as_complex(table.view(-1, 2))
-    source = torch.view_as_complex(rows.view(rows.shape[0], rows.shape[1] // 2, 2))
-    pairs = source.shape[1]
+    pairs = len(shares) // 2
     for pair in range(pairs):
-        target.index_add_(0, index if pairs == 1 else index * pairs + pair, source[:, pair])
+        place = index if pairs == 1 else index * pairs + pair
+        target.index_add_(0, place, torch.complex(shares[2 * pair], shares[2 * pair + 1]))
 
 
 class _Encode(torch.autograd.Function):
@@ -162,30 +195,33 @@ class _Encode(torch.autograd.Function):
     def forward(ctx, local: Tensor, inside: Tensor, table: Tensor, grid: "HashGrid") -> Tensor:
         ctx.save_for_backward(local, inside, table)
         ctx.grid = grid
-        gather = compiled_or_eager(_gather, _gather_eager, grid.compile)
+        gather, lattice = grid.kernel(_gather, _gather_eager)
+        planes = local.t().contiguous()
         parts = [
-            gather(local * (1 / level.cell), grid.rows(table, level), *grid.lattice(number))
+            gather(planes * (1 / level.cell), grid.numbers(table, level), grid.features, *lattice(number))
             for number, level in enumerate(grid.plan)
         ]
-        return torch.cat(parts, dim=1).mul_(inside[:, None])
+        return torch.cat(parts).mul_(inside).t()
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx, gradient: Tensor) -> tuple[Tensor | None, None, Tensor | None, None]:
         local, inside, table = ctx.saved_tensors
         grid = ctx.grid
-        spread = compiled_or_eager(_spread, _spread, grid.compile)
-        columns = (gradient * inside[:, None]).split(grid.features, dim=1)
-        for_positions = torch.zeros_like(local) if ctx.needs_input_grad[0] else None
+        spread, lattice = grid.kernel(_spread, _spread_eager)
+        planes = local.t().contiguous()
+        columns = (gradient.t().contiguous() * inside).split(grid.features)
+        for_positions = torch.zeros_like(planes) if ctx.needs_input_grad[0] else None
         for_table = torch.zeros_like(table) if ctx.needs_input_grad[2] else None
         for number, level in enumerate(grid.plan):
-            x, column, lattice = local * (1 / level.cell), columns[number].contiguous(), grid.lattice(number)
+            x, column = planes * (1 / level.cell), columns[number]
             if for_table is not None:
-                index, rows = spread(x, column, *lattice)
-                _add_rows(grid.rows(for_table, level), index.view(-1), rows.view(-1, grid.features))
+                index, shares = spread(x, column, *lattice(number))
+                _add_shares(grid.numbers(for_table, level), index.view(-1), shares.view(grid.features, -1))
             if for_positions is not None:
-                for_positions += _slope(x, column, grid.rows(table, level), *lattice) * (1 / level.cell)
-        return for_positions, None, for_table, None
+                slope = _slope(x, column, grid.numbers(table, level), *grid.lattice(number))
+                for_positions += slope * (1 / level.cell)
+        return None if for_positions is None else for_positions.t(), None, for_table, None
 
 
 class HashGrid(nn.Module):
@@ -225,6 +261,7 @@ class HashGrid(nn.Module):
         last_cells = [[count - 2 for count in level.vertices] for level in self.plan]
         multipliers = [PRIMES if v.hashed else (1, v.vertices[0], v.vertices[0] * v.vertices[1]) for v in self.plan]
         self.register_buffer("last_cells", torch.tensor(last_cells, dtype=torch.int32), persistent=False)
+        self.register_buffer("hashed", torch.tensor([v.hashed for v in self.plan]), persistent=False)
         self.register_buffer("multipliers", torch.tensor(multipliers, dtype=torch.int32), persistent=False)
 
     @property
@@ -232,14 +269,25 @@ class HashGrid(nn.Module):
         """Length of the feature vector of a position."""
         return len(self.plan) * self.features
 
+    def numbers(self, table: Tensor, level: Level) -> Tensor:
+        """View of one level of a table-shaped tensor, entry by entry, as [entries * features]."""
+        return table[level.offset : level.offset + level.entries * self.features]
+
     def rows(self, table: Tensor, level: Level) -> Tensor:
-        """View of one level of a table-shaped tensor as [entries, features]."""
-        return table[level.offset : level.offset + level.entries * self.features].view(level.entries, self.features)
+        """The same as [entries, features]."""
+        return self.numbers(table, level).view(level.entries, self.features)
 
     def lattice(self, number: int) -> tuple[Tensor, Tensor, int, bool]:
         """The numbers that turn lattice coordinates into table entries at one level."""
         level = self.plan[number]
         return self.last_cells[number], self.multipliers[number], level.entries - 1, level.hashed
+
+    def kernel(self, fused: Callable, eager: Callable) -> tuple[Callable, Callable[[int], tuple]]:
+        """Returns a kernel, compiled if that is asked for and possible, and the lattice of a level as it wants it."""
+        chosen = compiled_or_eager(fused, eager, self.compile)
+        if chosen is eager:
+            return eager, self.lattice
+        return chosen, lambda number: (*self.lattice(number)[:3], self.hashed[number])
 
     def forward(self, positions: Float[Tensor, "n 3"]) -> Float[Tensor, "n features"]:
         """Encode world positions (m); outside the box and for NaN the features are zero, without gradient."""
