@@ -62,6 +62,21 @@ def test_against_the_slow_reference(features):
     assert torch.allclose(grid(places), truth, atol=2e-5)
 
 
+@pytest.mark.parametrize("features", [2, 4])
+def test_the_compilers_kernels_equal_the_librarys(features, monkeypatch):
+    grid, places = small_grid(features), points(300).requires_grad_()
+    pull = torch.randn(300, grid.out_features)
+    plain = torch.autograd.grad(grid(places), (grid.table, places), pull)
+    # run without the compiler: the arithmetic is the same
+    monkeypatch.setattr("hashnerf.hash_grid.compiled_or_eager", lambda fused, eager, wanted: fused)
+    out = grid(places)
+    fused = torch.autograd.grad(out, (grid.table, places), pull)
+    monkeypatch.undo()
+    assert torch.allclose(out, grid(places), atol=1e-6)
+    for ours, expected in zip(fused, plain):
+        assert torch.allclose(ours, expected, rtol=1e-4, atol=1e-5)
+
+
 def test_positions_get_a_gradient_only_when_asked():
     grid = small_grid()
     grid(points(3)).sum().backward()
