@@ -4,6 +4,7 @@ fully connected layers of 64 and the answer. Larger ones differ by `filters` and
 
 from dataclasses import dataclass
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -50,6 +51,8 @@ class PictureNetwork(nn.Module):
             nn.ReLU(),
             nn.Linear(config.hidden, outputs),
         )
+        # trained and loaded networks alike: in another layout a processor may sum in another order
+        self.to(memory_format=torch.channels_last)
 
     def forward(self, pictures: Float[Tensor, "n c h w"]) -> Float[Tensor, "n outputs"]:
         """Reads pictures in [0, 1]; raises UserError for another size than the network was made for."""

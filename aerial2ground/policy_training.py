@@ -137,7 +137,6 @@ def train_network(
         raise UserError(f"{len(pictures)} training pictures are too few: batch normalisation needs two or more")
     torch.manual_seed(seed)
     network = PictureNetwork(config.network, pictures.shape[1], pictures.shape[2], answers_of(loss, targets.shape[1]))
-    network.to(memory_format=torch.channels_last)
     generator = torch.Generator().manual_seed(seed)
     optimizer = torch.optim.AdamW(network.parameters(), lr=config.lr, weight_decay=config.weight_decay)
     batches = max(len(pictures) // config.batch_size, 1)

@@ -109,7 +109,7 @@ class ConvEncoder(nn.Module):
         if generator is not None and self.augment > 0:
             x = jitter_pictures(x, self.augment, generator)
         x = (x - 0.5).contiguous(memory_format=torch.channels_last)
-        # only where it is faster; the belief itself is single precision
+        # bfloat16 where it is faster; the belief itself is single precision
         with _fastest_products(x.device.type):
             features = self.trunk(x)
         return self.head(features.float())
