@@ -5,6 +5,9 @@ after their poses were aligned to the field by the photometric error alone (as B
 """
 
 import json
+import statistics
+import time
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -63,6 +66,7 @@ def evaluate_run(config: AerialConfig, aerial: bool = True) -> dict:
         shares = np.arange(GROUND_VIEWS) / GROUND_VIEWS
         places = [path.poses(shares * path.length) for path in survey.trajectories.values()]
         results["ground"], pairs = ground_errors(nerf, world, config.camera, np.concatenate(places), train.cameras)
+        results["view_ms"] = view_milliseconds(nerf, car_cameras(config.camera, torch.from_numpy(places[0])))
         rows = [pairs[start::GROUND_VIEWS] for start in range(0, GROUND_VIEWS, max(GROUND_VIEWS // 3, 1))]
         strips = [np.concatenate([np.concatenate(pair) for pair in row], axis=1) for row in rows]
         Image.fromarray(np.concatenate(strips)).save(config.folder / "ground_views.png")
@@ -160,6 +164,16 @@ def ground_errors(
         depths.append(axis_depth(cameras, index, seen.median_depth))
         pairs.append((true.rgb.numpy(), (colour * 255).round().to(torch.uint8).numpy()))
     return asdict(view_errors(truth, colours, depths)), pairs
+
+
+def view_milliseconds(nerf: RoadNerf, cameras: Cameras, clock: Callable[[], float] = time.perf_counter) -> float:
+    """Returns the median wall-clock time of rendering one camera's view; the first view is not counted."""
+    times = []
+    for index in range(len(cameras)):
+        start = clock()
+        nerf.view(cameras, index)
+        times.append(1000 * (clock() - start))
+    return statistics.median(times[1:] or times)
 
 
 def true_poses(folder: Path, data: PosedImages) -> Float[Tensor, "n 4 4"]:

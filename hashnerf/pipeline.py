@@ -47,11 +47,29 @@ def total_seconds(stages: Mapping[str, Mapping]) -> float:
     return float(sum(stage["seconds"] for stage in stages.values() if "within" not in stage))
 
 
-def run_stage(name: str, command: Sequence[str], folder: Path) -> None:
-    """Runs one script and adds its time and peak memory to the run's timings; a failing script ends this one alike."""
+def run_stage(name: str, command: Sequence[str], folder: Path, quiet: bool = False) -> None:
+    """Runs one script and adds its time and peak memory to the run's timings; a failing script ends this one alike.
+
+    What a `quiet` stage prints goes to its log (`log_of`).
+    """
+    if quiet:
+        log = log_of(folder, name)
+        log.parent.mkdir(parents=True, exist_ok=True)
+        with log.open("wb") as file:
+            _run_to_its_end(name, command, folder, stdout=file, stderr=subprocess.STDOUT)
+        return
     print(f"\n== {name}", flush=True)
+    _run_to_its_end(name, command, folder)
+
+
+def log_of(folder: Path, stage: str) -> Path:
+    """Where the output of a stage goes that does not print to the terminal."""
+    return folder / LOGS / f"{_log_name(stage)}.log"
+
+
+def _run_to_its_end(name: str, command: Sequence[str], folder: Path, **streams: object) -> None:
     start = time.monotonic()
-    process = subprocess.Popen([sys.executable, *command])
+    process = subprocess.Popen([sys.executable, *command], **streams)
     try:
         _, status, usage = os.wait4(process.pid, 0)
     except KeyboardInterrupt:
@@ -151,7 +169,7 @@ class _Running:
 
 
 def _start(name: str, command: Sequence[str], folder: Path, threads: int) -> _Running:
-    log = folder / LOGS / f"{_log_name(name)}.log"
+    log = log_of(folder, name)
     log.parent.mkdir(parents=True, exist_ok=True)
     print(f"   {name}: started, writes to {log}", flush=True)
     with log.open("wb") as file:

@@ -2,16 +2,23 @@
 
 python scripts/benchmark.py encoding                 # the hash-grid encoding beside the usual one
 python scripts/benchmark.py encoding --device cuda
+python scripts/benchmark.py tradeoff                 # speed against accuracy: docs/results/speed_accuracy.md
+python scripts/benchmark.py tradeoff --sweeps '[field]' --most 2
 """
 
+import shlex
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 from hashnerf.command_line import parse_config, run_main, set_threads
 from hashnerf.encoding_benchmark import EncodingBenchmark, encoding_table, time_encodings
 from hashnerf.errors import UserError
 from hashnerf.results_page import table_lines
 from hashnerf.run_info import commit, machine
+from hashnerf.tradeoff import Tradeoff, run_tradeoff
+
+SCRIPTS = Path(__file__).resolve().parent
 
 
 def encoding(arguments: list[str]) -> None:
@@ -21,16 +28,27 @@ def encoding(arguments: list[str]) -> None:
     print("\n".join(table_lines(encoding_table(time_encodings(config)))))
 
 
-BENCHMARKS: dict[str, Callable[[list[str]], None]] = {"encoding": encoding}
+def tradeoff(arguments: list[str]) -> int:
+    """Run the sweeps and write their page; 1 where a row failed."""
+    config = parse_config(Tradeoff, arguments, description="Measure speed against accuracy.")
+    command = shlex.join(["python", "scripts/benchmark.py", "tradeoff", *arguments])
+    failed = run_tradeoff(config, SCRIPTS, command)
+    for one in failed:
+        print(f"{one.row.name} failed: {one.reason}", file=sys.stderr)
+    return 1 if failed else 0
 
 
-def main() -> None:
+BENCHMARKS: dict[str, Callable[[list[str]], int | None]] = {"encoding": encoding, "tradeoff": tradeoff}
+
+
+def main() -> int | None:
     """Run the benchmark that the first argument names."""
     name = sys.argv[1] if len(sys.argv) > 1 else ""
     if name not in BENCHMARKS:
         raise UserError(f"{name or 'nothing'}: is no benchmark; say python scripts/benchmark.py {'|'.join(BENCHMARKS)}")
-    BENCHMARKS[name](sys.argv[2:])
+    status = BENCHMARKS[name](sys.argv[2:])
     print(f"\n`python scripts/benchmark.py {' '.join(sys.argv[1:])}`; {machine()}; {commit()}.")
+    return status
 
 
 if __name__ == "__main__":
