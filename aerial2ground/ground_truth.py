@@ -5,7 +5,8 @@ a constant sky, and a lawn of one green, would flatter the mean over whole pictu
 that no picture from above shows: only there a prior can tell what pictures cannot. Depth is along the optical axis.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -14,6 +15,7 @@ from torch import Tensor
 
 from hashnerf.cameras import Cameras, image_rays, project
 from hashnerf.metrics import psnr, ssim
+from worlds.scenarios import world_from_description
 from worlds.scene import Scene, World
 
 ROAD = ("road", "markings", "pavement")
@@ -52,6 +54,27 @@ def true_views(world: World, cameras: Cameras, above: Cameras | None = None) -> 
         foreground = torch.from_numpy(~np.isin(ids, flat))
         views.append(TrueView(torch.from_numpy(view.rgb), depth, on_road, foreground, hidden))
     return views
+
+
+@dataclass(frozen=True)
+class TrueTown:
+    """Makes a renderer of the town behind a data set, as the drone saw it; small enough for another process."""
+
+    description: Mapping
+    origin: Float[Tensor, " 3"]
+    """What loading the data set subtracted from all positions, metres."""
+
+    def __call__(self) -> Callable[[Cameras, int], tuple[UInt8[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]]:
+        """Returns a function that gives colour and depth (m, along the axis, 0 where nothing is) of a camera."""
+        scene = Scene(world_from_description(self.description), {})
+
+        def render(cameras: Cameras, index: int) -> tuple[np.ndarray, np.ndarray]:
+            pose = cameras.pose.clone()
+            pose[:, :3, 3] += self.origin.to(pose)
+            view = scene.render(replace(cameras, pose=pose), index)
+            return view.rgb, view.depth
+
+        return render
 
 
 def surface_points(cameras: Cameras, index: int, depth: Float[Tensor, "h w"]) -> Float[Tensor, "h w 3"]:

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from aerial2ground.config import AerialConfig
 from aerial2ground.ground_poses import GroundPoses, disturbed_poses
+from aerial2ground.ground_truth import TrueTown
 from aerial2ground.ground_views import Renderer, cameras_of, describe_views, nerf_renderer, render_views
 from aerial2ground.imitation import expert_steering
 from aerial2ground.paths import Path
@@ -190,33 +191,47 @@ class SavedField:
         return nerf_renderer(nerf)
 
 
-def run_ground_views(config: AerialConfig, on_view: Callable[[int, int], None] = lambda done, total: None) -> None:
-    """Stage 2: disturbed ground views along every trajectory, with what the expert would steer."""
+def run_ground_views(
+    config: AerialConfig, on_view: Callable[[int, int], None] = lambda done, total: None, of_truth: bool = False
+) -> None:
+    """Stage 2: disturbed ground views along every trajectory, with what the expert would steer.
+
+    They are views of the run's field, or `of_truth` pictures of the embedded world behind the data set: what a perfect
+    field would show. Raises UserError where there is no such world.
+    """
     survey = load_driven_survey(config)
     wanted = {name: _disturbed_views(config, survey, name) for name in survey.trajectories}
     sets = [(cameras, config.folder / "ground" / name) for name, (_, cameras) in wanted.items()]
     workers = config.workers or usable_cores()
     pixels = sum(len(cameras) for cameras, _ in sets) * config.camera.width * config.camera.height // workers
-    field = SavedField(config, survey.data.scene_box, len(survey.train.images), pixels)
+    renderer: Callable[[], Renderer] = SavedField(config, survey.data.scene_box, len(survey.train.images), pixels)
+    if of_truth:
+        description = survey.data.extras.get("world")
+        if description is None:
+            raise UserError(f"{config.dataset}: was not rendered from an embedded world; leave --of_truth out")
+        renderer = TrueTown(description, survey.data.origin)
     with RunLock(config.folder / "ground"):
         for name, (_, folder) in zip(wanted, sets):
-            begin(folder, _made_from(config, survey, name), config.overwrite)
-        render_views(field, sets, workers, on_view)
+            begin(folder, _made_from(config, survey, name, of_truth), config.overwrite)
+        render_views(renderer, sets, workers, on_view)
         for (name, (car, cameras)), (_, folder) in zip(wanted.items(), sets):
             steering = expert_steering(survey.trajectories[name], car, config.pure_pursuit)
             describe_views(cameras, car, steering, folder, survey.data.scene_box, {})
 
 
-def _made_from(config: AerialConfig, survey: Survey, name: str) -> dict:
+def _made_from(config: AerialConfig, survey: Survey, name: str, of_truth: bool) -> dict:
     plain = plain_config(config)
-    views = {key: plain["reconstruction"][key] for key in VIEWING}
+    if of_truth:
+        source = {"truth": digest(FilePath(config.dataset) / "transforms.json")}
+    else:
+        views = {key: plain["reconstruction"][key] for key in VIEWING}
+        source = {"reconstruction": views | {"weights": weights_digest(config.folder / "reconstruction")}}
     return {
         "seed": config.seed,
         "imitation": {key: plain["imitation"][key] for key in ("views", "disturbance")},
         "camera": plain["camera"],
-        "reconstruction": views | {"weights": weights_digest(config.folder / "reconstruction")},
         "path": digest(survey.trajectories[name].points.tobytes()),
-    }
+    } | source
 
 
 def _disturbed_views(config: AerialConfig, survey: Survey, name: str) -> tuple[GroundPoses, Cameras]:

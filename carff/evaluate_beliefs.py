@@ -14,7 +14,7 @@ from torch import Tensor
 
 from carff.beliefs import active_units, reparameterise
 from carff.charts import latent_map, psnr_curve
-from carff.evaluation_data import EvaluationData, Part, Views, actor_visible
+from carff.evaluation_data import BeliefData, EvaluationData, Part, Views, actor_visible
 from carff.evaluation_pictures import contact_sheet_figure, reconstruction_figure
 from carff.latent_metrics import subset_accuracy, svm_accuracy, svm_heldout, tsne_embedding
 from carff.scene_metrics import changed_pixels, mean_psnr_db, psnr_db
@@ -31,10 +31,10 @@ DECODED_AT_ONCE = 32
 def evaluate_beliefs(evaluation: EvaluationData) -> Part:
     """Returns the data overview and everything about the PC-VAE."""
     views = evaluation.views
-    scores, reasons = svm_scores(evaluation)
+    scores, reasons = svm_scores(evaluation.beliefs)
     samples = reparameterise(views.belief, evaluation.generator(1))
     pcvae = scores | {"active_units": int(active_units(views.select(views.train).belief.mean).sum())}
-    pcvae |= reconstruction_scores(evaluation, samples)
+    pcvae |= reconstruction_scores(evaluation.beliefs, samples)
     figures = {
         "contact_sheet": png_bytes(contact_sheet_figure(evaluation)),
         "reconstructions": png_bytes(reconstruction_figure(evaluation, samples)),
@@ -67,7 +67,7 @@ def describe_data(evaluation: EvaluationData) -> dict:
     }
 
 
-def svm_scores(evaluation: EvaluationData) -> tuple[dict, dict[str, str]]:
+def svm_scores(evaluation: BeliefData) -> tuple[dict, dict[str, str]]:
     """Returns the accuracies of naming states from latents, and reasons for those that cannot be measured."""
     train, test = (evaluation.views.select(rows) for rows in (evaluation.views.train, evaluation.views.test))
     train_groups = torch.where(evaluation.table.view_index("train") >= 0, evaluation.groups, -1)
@@ -100,7 +100,7 @@ def svm_scores(evaluation: EvaluationData) -> tuple[dict, dict[str, str]]:
     return scores, reasons
 
 
-def reconstruction_scores(evaluation: EvaluationData, samples: Float[Tensor, "n d"]) -> dict:
+def reconstruction_scores(evaluation: BeliefData, samples: Float[Tensor, "n d"]) -> dict:
     """Returns the PSNR of decoded posterior samples, one per view, each at a random other train camera of its state."""
     views = evaluation.views
     scores: dict = {}
@@ -119,13 +119,13 @@ def reconstruction_scores(evaluation: EvaluationData, samples: Float[Tensor, "n 
 
 
 def decoded_psnr(
-    evaluation: EvaluationData, views: Views, samples: Float[Tensor, "n d"]
+    evaluation: BeliefData, views: Views, samples: Float[Tensor, "n d"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Returns each view's PSNR in dB: whole picture, changed pixels (NaN without), and of the camera's mean picture."""
     index = evaluation.table.view_index("train")
     target = other_cameras(index, views.state, views.camera, evaluation.generator(3))
     frames = index[views.state, target]
-    images, pcvae = evaluation.data.images, evaluation.model.pcvae
+    images, pcvae = evaluation.data.images, evaluation.pcvae
     device = next(pcvae.parameters()).device
     masks, means = _camera_pictures(evaluation, index)
     errors = []
@@ -166,7 +166,7 @@ def read_curve(path: Path) -> Float[np.ndarray, "k 2"]:
 
 
 def _camera_pictures(
-    evaluation: EvaluationData, index: Int[Tensor, "states cameras"]
+    evaluation: BeliefData, index: Int[Tensor, "states cameras"]
 ) -> tuple[Bool[Tensor, "cameras h w"], Float[Tensor, "cameras h w 3"]]:
     """Returns every camera's changed pixels and mean picture over its states."""
     height, width = evaluation.data.images.shape[1:3]

@@ -8,6 +8,7 @@ trial draws its own n futures.
 
 import statistics
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -109,13 +110,13 @@ def spread(views: Views, kind: Bool[Tensor, " n"], count: int, generator: torch.
 
 
 def trial_decisions(
-    evaluation: EvaluationData, pictures: TrialPictures
+    evaluation: EvaluationData, pictures: TrialPictures, samples: Sequence[int] = SAMPLES
 ) -> dict[tuple[str, int], Bool[np.ndarray, "images trials"]]:
     """Returns for every rule and number of samples whether each trial goes."""
     trials = evaluation.config.evaluation.trials
     belief = evaluation.views.belief.select(pictures.view.repeat_interleave(trials))
     decisions = {}
-    for n in SAMPLES:
+    for n in samples:
         future = sample_scenes(evaluation.model, belief, n, evaluation.generator(11)).future
         flags = evaluation.model.hazards(future.flatten(0, 1))
         hazard, unknown = (flag.reshape(-1, n) for flag in flags)

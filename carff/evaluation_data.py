@@ -18,6 +18,9 @@ from torch import Tensor
 from carff.beliefs import Belief
 from carff.config import CarffConfig
 from carff.model import CarffModel, load_carff
+from carff.pcvae import Pcvae
+from carff.scene_info import scene_info
+from carff.stages import load_pcvae
 from carff.state_style import StateStyle, state_style
 from carff.states import StateTable, ambiguous_groups, build_state_table
 from hashnerf.command_line import config_changes, plain_config
@@ -71,6 +74,23 @@ class Views:
 
 
 @dataclass(frozen=True)
+class BeliefData:
+    """A PC-VAE beside the data set that it is judged on."""
+
+    data: PosedImages
+    table: StateTable
+    groups: Int[Tensor, "states cameras"]
+    """Smallest state with the same picture at the camera, -1 without a view."""
+    views: Views
+    pcvae: Pcvae
+    seed: int
+
+    def generator(self, salt: int) -> torch.Generator:
+        """A generator that depends on the run's seed and on who asks."""
+        return torch.Generator().manual_seed(self.seed * 1009 + salt)
+
+
+@dataclass(frozen=True)
 class EvaluationData:
     """A trained run beside the data set that it is judged on."""
 
@@ -82,6 +102,11 @@ class EvaluationData:
     """Smallest state with the same picture at the camera, -1 without a view."""
     views: Views
     style: StateStyle
+
+    @property
+    def beliefs(self) -> BeliefData:
+        """What the PC-VAE alone is judged by."""
+        return BeliefData(self.data, self.table, self.groups, self.views, self.model.pcvae, self.config.seed)
 
     @property
     def same_boxes(self) -> Int[Tensor, " states"]:
@@ -107,7 +132,7 @@ class EvaluationData:
 
     def generator(self, salt: int) -> torch.Generator:
         """A generator that depends on the run's seed and on who asks."""
-        return torch.Generator().manual_seed(self.config.seed * 1009 + salt)
+        return self.beliefs.generator(salt)
 
 
 def load_evaluation_data(config: CarffConfig) -> EvaluationData:
@@ -133,6 +158,19 @@ def load_evaluation_data(config: CarffConfig) -> EvaluationData:
     groups = ambiguous_groups(data.images, table.views)
     views = all_views(table, groups, model.encode(data.images))
     return EvaluationData(config, data, table, model, groups, views, state_style(table.states, table.branch_names))
+
+
+def load_belief_data(config: CarffConfig) -> tuple[BeliefData, dict]:
+    """Loads the PC-VAE of a run, whose later stages may be missing, and its data set; also what its training cost.
+
+    Raises UserError where it is not trained.
+    """
+    data = load_posed_images(Path(config.dataset), config.image_size or None)
+    table = build_state_table(data)
+    pcvae, cost = load_pcvae(config, scene_info(data, table))
+    groups = ambiguous_groups(data.images, table.views)
+    views = all_views(table, groups, pcvae.encode(data.images).to("cpu"))
+    return BeliefData(data, table, groups, views, pcvae, config.seed), cost
 
 
 def all_views(table: StateTable, groups: Int[Tensor, "states cameras"], beliefs: Belief) -> Views:

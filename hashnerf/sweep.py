@@ -9,8 +9,7 @@ A sweep is a YAML file (`load_sweep`):
     shared             {name, options, stages}: a run that is made once; every row starts from a copy of it
     timed              the stages whose seconds and peak memory are a row's `time` and `memory`
     figures            {name: {file, key, unit, better: more | less}}: where results are, a file in the run's folder and
-                       a dotted key in it, in which `*` is the mean over all there is; in place of `file` and `key` a
-                       `mean_of` other figures
+                       a dotted key in it, in which `*` is the mean over all there is
     cost, accuracy     the names of two figures; the cost may be `time`
     noise              differences of accuracy up to this many units are chance
     knobs              {name: {key | keys, values, stage}}: the first value is the base; `stage` names the only stage
@@ -47,9 +46,13 @@ class Figure:
     unit: str
     more_is_better: bool
     file: str = ""
-    """File below the run's folder, empty where it is a mean of other figures or counted by the sweep itself."""
+    """File below the run's folder, empty where the sweep itself counts."""
     key: str = ""
-    mean_of: tuple[str, ...] = ()
+
+    @property
+    def scale(self) -> int:
+        """What a value is multiplied by to be in the unit: per cent and points are stored as shares."""
+        return 100 if self.unit in ("%", "points") else 1
 
     def loss(self, value: float) -> float:
         """Returns the value so that smaller is better."""
@@ -66,7 +69,8 @@ class Knob:
 
     def label(self, value: tuple[Any, ...]) -> str:
         """Returns a value as it is shown."""
-        return " x ".join(str(part) for part in value)
+        parts = [part for one in value for part in (one if isinstance(one, list) else [one])]
+        return " x ".join(str(part) for part in parts)
 
 
 @dataclass(frozen=True)
@@ -161,9 +165,6 @@ def load_sweep(path: Path) -> Sweep:
         _check_known(data[key], figures, f"{path}: {key}")
     for stage in data["timed"]:
         _check_known(stage, stages, f"{path}: timed")
-    for figure in figures.values():
-        for name in figure.mean_of:
-            _check_known(name, figures, f"{path}: mean_of")
     for knob in knobs.values():
         if knob.stage:
             _check_known(knob.stage, stages, f"{path}: knobs")
@@ -194,17 +195,11 @@ def load_sweep(path: Path) -> Sweep:
 
 
 def _figure(data: Mapping, where: str) -> Figure:
-    needed = ("unit", "better", "mean_of") if "mean_of" in data else ("unit", "better", "file", "key")
+    needed = ("unit", "better", "file", "key")
     _check_keys(data, needed, needed, where)
     if data["better"] not in ("more", "less"):
         raise UserError(f"{where}: better is {data['better']!r}; give more or less")
-    return Figure(
-        data["unit"],
-        data["better"] == "more",
-        data.get("file", ""),
-        data.get("key", ""),
-        tuple(data.get("mean_of", ())),
-    )
+    return Figure(data["unit"], data["better"] == "more", data["file"], data["key"])
 
 
 def _knob(data: Mapping, where: str) -> Knob:

@@ -45,13 +45,13 @@ def sweep_chart(sweep: Sweep, results: Sequence[Result], presets: Mapping[str, R
         axes.plot(*_places(sweep, combined), "x", color=MUTED, markersize=6, label="combinations")
     axes.plot(*_places(sweep, base), "*", color=INK, markersize=11, label="base", zorder=4)
     for words, row in _named(presets):
-        place = (row.figures[sweep.cost], row.figures[sweep.accuracy])
+        place = tuple(values[0] for values in _places(sweep, [row]))
         axes.plot(*place, "o", color=VERMILION, markersize=13, fillstyle="none", markeredgewidth=1.8, zorder=5)
         axes.annotate(words, place, (0, 11), textcoords="offset points", ha="center", fontsize=SMALL, color=VERMILION)
     axes.set_xscale("log")
     axes.margins(y=0.12)
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.xaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:g}"[0] in "235" else "")
+    axes.xaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:g}"[0] in "2345" else "")
     axes.tick_params(which="minor", labelsize=SMALL, colors=MUTED)
     cost, accuracy = sweep.figures[sweep.cost], sweep.figures[sweep.accuracy]
     if not accuracy.more_is_better:
@@ -62,7 +62,10 @@ def sweep_chart(sweep: Sweep, results: Sequence[Result], presets: Mapping[str, R
 
 
 def _places(sweep: Sweep, rows: Sequence[Result]) -> tuple[list[float], list[float]]:
-    return [one.figures[sweep.cost] for one in rows], [one.figures[sweep.accuracy] for one in rows]
+    cost, accuracy = (
+        [one.figures[name] * sweep.figures[name].scale for one in rows] for name in (sweep.cost, sweep.accuracy)
+    )
+    return cost, accuracy
 
 
 def _named(presets: Mapping[str, Result]) -> list[tuple[str, Result]]:

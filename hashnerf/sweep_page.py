@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from hashnerf.report_tables import DASH, number
 from hashnerf.results_page import markdown_table
-from hashnerf.sweep import BASE, COMBINED, MEMORY, TIME, Sweep
+from hashnerf.sweep import BASE, COMBINED, MEMORY, TIME, Figure, Sweep
 from hashnerf.sweep_presets import chosen_presets, front_of, worse_for_more
 from hashnerf.sweep_runs import Result
 
@@ -33,7 +33,7 @@ def table_rows(sweep: Sweep, results: Sequence[Result]) -> list[list[str]]:
     head = ["varied", "value", *(_emphasis(sweep, name) for name in shown), "front"]
     rows = [head]
     for one in results:
-        cells = [_value(one.figures.get(name), sweep.figures[name].unit) for name in shown]
+        cells = [_value(one.figures.get(name), sweep.figures[name]) for name in shown]
         rows.append([*varied(sweep, one), *cells, FRONT if one.row.name in front else ""])
     return rows
 
@@ -50,15 +50,13 @@ def varied(sweep: Sweep, result: Result) -> tuple[str, str]:
 
 def monotonicity_lines(sweep: Sweep, results: Sequence[Result]) -> list[str]:
     """Returns a line for every knob with a dearer value that is less accurate than a cheaper one, or one for all."""
-    unit, lines = sweep.figures[sweep.accuracy].unit, []
+    accuracy, lines = sweep.figures[sweep.accuracy], []
     for knob in sweep.knobs:
         for cheaper, dearer in worse_for_more(sweep, results, knob):
             values = [sweep.knobs[knob].label(one.row.settings[knob]) for one in (cheaper, dearer)]
-            figures = [_value(one.figures[sweep.accuracy], unit) for one in (cheaper, dearer)]
-            lines.append(
-                f"- {knob}: {values[1]} costs more than {values[0]} and is worse, {figures[1]} for {figures[0]}."
-            )
-    chance = f"{number(sweep.noise, unit, 3)}".rstrip()
+            figures = [_value(one.figures[sweep.accuracy], accuracy) for one in (cheaper, dearer)]
+            lines.append(f"- {knob}: {values[1]} costs more than {values[0]} and is worse: {' after '.join(figures)}.")
+    chance = f"{sweep.noise * accuracy.scale:g} {accuracy.unit}".strip()
     if not lines:
         return [f"Along no knob is a dearer value less accurate than a cheaper one by more than chance ({chance})."]
     return [f"Where more cost buys less accuracy, by more than chance ({chance}):", "", *lines]
@@ -73,18 +71,19 @@ def preset_lines(sweep: Sweep, results: Sequence[Result]) -> str:
     rows = [["preset", "rule", sweep.cost, sweep.accuracy, "options"]]
     for name, one in chosen.items():
         allowed = sweep.presets[name]
-        rule = f"cheapest within {_value(allowed, accuracy.unit)} of the best" if allowed else "the best"
-        figures = (_value(one.figures[sweep.cost], cost.unit), _value(one.figures[sweep.accuracy], accuracy.unit))
-        rows.append([name, rule, *figures, f"`{shlex.join(options_of(sweep, one))}`"])
+        rule = f"cheapest within {allowed * accuracy.scale:g} {accuracy.unit} of the best" if allowed else "the best"
+        figures = (_value(one.figures[sweep.cost], cost), _value(one.figures[sweep.accuracy], accuracy))
+        options = shlex.join(options_of(sweep, one))
+        rows.append([name, rule, *figures, f"`{options}`" if options else "the base"])
     return f"Presets, all of the front, so that none dominates another:\n\n{markdown_table(rows)}"
 
 
 def options_of(sweep: Sweep, result: Result) -> list[str]:
-    """Returns the options of the scripts that make a row from the base; of the base its own."""
+    """Returns the options of the scripts that make a row from the base."""
     pairs = []
     for name, knob in sweep.knobs.items():
         value = result.row.settings[name]
-        if value != knob.values[0] or result.row.knob == BASE:
+        if value != knob.values[0]:
             pairs += [f"--{key}={part}" for key, part in zip(knob.keys, value)]
     return pairs
 
@@ -116,10 +115,10 @@ def _listed(values: Sequence[str]) -> str:
     return ", ".join(dict.fromkeys(value for value in values if value)) or DASH
 
 
-def _value(value: float | None, unit: str) -> str:
+def _value(value: float | None, figure: Figure) -> str:
     """Three significant digits at least: what rows differ in must be seen."""
     if value is None:
         return DASH
-    scaled = abs(value) * (100 if unit == "%" else 1)
+    scaled = abs(value) * figure.scale
     digits = 0 if scaled >= 1000 else 1 if scaled >= 100 else 2 if scaled >= 1 else 4
-    return number(value, unit, digits)
+    return number(value, figure.unit, digits)

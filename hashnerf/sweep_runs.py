@@ -1,6 +1,7 @@
 """Running a sweep: every row is trained and measured in a folder of its own, and its result kept there.
 
-<runs>/<sweep>/<row>/result.json: {row, commands, machine, commit, date, figures} or, of a row that failed, {..., reason}.
+<runs>/<sweep>/<row>/result.json: {row, settings, commands, reason, machine, commit, date, figures}; `reason` says why a
+row failed.
 A row whose result was made by the same commands is not run again; a failed one is tried again by the next call.
 """
 
@@ -11,12 +12,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hashnerf.errors import UserError
 from hashnerf.pipeline import LOGS, TIMINGS, log_of, read_timings, run_stage
+from hashnerf.report_tables import number
 from hashnerf.run_info import commit, machine
 from hashnerf.sweep import MEMORY, TIME, Figure, Row, Sweep
 from hashnerf.transforms_json import read_transforms, write_atomically
@@ -89,19 +90,17 @@ def read_result(folder: Path, row: Row, commands: Mapping[str, list[str]]) -> Re
 
 
 def figure_of(folder: Path, figure: Figure) -> float:
-    """Reads a figure from the file of a run; raises UserError naming file and key where it is not."""
+    """Reads a figure from the file of a run; raises UserError naming file and key where there is no number."""
     path = folder / figure.file
     if not path.is_file():
         raise UserError(f"{figure.file}: no stage wrote this file; name another in the figure")
-    found = [json.loads(path.read_text(encoding="utf-8"))]
+    found: list = [read_transforms(path)]
     for step in figure.key.split("."):
         inside = [one for one in found if isinstance(one, Mapping)]
         found = [value for one in inside for name, value in one.items() if step in ("*", name)]
     numbers = [value for value in found if isinstance(value, int | float) and not isinstance(value, bool)]
     if not numbers or len(numbers) < len(found):
         raise UserError(f"{figure.file}: holds no number at {figure.key}")
-    if not np.isfinite(numbers).all():
-        raise UserError(f"{figure.file}: {figure.key} is not finite")
     return float(np.mean(numbers))
 
 
@@ -122,19 +121,11 @@ def _measured(sweep: Sweep, row: Row, folder: Path, commands: Mapping[str, list[
         figures = _figures(sweep, folder)
     except UserError as error:
         reason = str(error)
-    result = Result(
-        row, figures, reason, machine(), commit(), datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
-    )
-    about: dict[str, Any] = {"row": row.name, "settings": row.settings, "commands": _recorded(commands)}
-    about |= {
-        "reason": reason,
-        "machine": result.machine,
-        "commit": result.commit,
-        "date": result.date,
-        "figures": figures,
-    }
-    _write(folder / RESULT, about)
-    return result
+    date = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
+    where = {"machine": machine(), "commit": commit(), "date": date}
+    about = {"row": row.name, "settings": row.settings, "commands": _recorded(commands), "reason": reason, **where}
+    _write(folder / RESULT, about | {"figures": figures})
+    return Result(row, figures, reason, **where)
 
 
 def _run(stage: str, command: list[str], folder: Path) -> None:
@@ -152,13 +143,9 @@ def _run(stage: str, command: list[str], folder: Path) -> None:
 def _figures(sweep: Sweep, folder: Path) -> dict[str, float]:
     timings = read_timings(folder)
     own = [timings[stage] for stage in sweep.timed]
-    figures = {
-        TIME: sum(one["seconds"] for one in own),
-        MEMORY: max((one["peak_memory_mb"] for one in own), default=0.0),
-    }
-    figures |= {name: figure_of(folder, figure) for name, figure in sweep.figures.items() if figure.file}
-    means = {name: figure.mean_of for name, figure in sweep.figures.items() if figure.mean_of}
-    return figures | {name: float(np.mean([figures[part] for part in parts])) for name, parts in means.items()}
+    peak = max((one["peak_memory_mb"] for one in own), default=0.0)
+    figures = {TIME: sum(one["seconds"] for one in own), MEMORY: peak}
+    return figures | {name: figure_of(folder, figure) for name, figure in sweep.figures.items() if figure.file}
 
 
 def _shared_run(sweep: Sweep, runs: Path, scripts: Path, say: Callable[[str], None]) -> Path | None:
@@ -196,4 +183,4 @@ def _summary(sweep: Sweep, result: Result) -> str:
     if result.reason:
         return f"failed: {result.reason}"
     shown = dict.fromkeys((TIME, sweep.cost, sweep.accuracy))
-    return ", ".join(f"{name} {result.figures[name]:.4g} {sweep.figures[name].unit}".strip() for name in shown)
+    return ", ".join(f"{name} {number(result.figures[name], sweep.figures[name].unit, 2)}" for name in shown)

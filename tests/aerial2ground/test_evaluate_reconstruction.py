@@ -10,6 +10,7 @@ import torch
 from PIL import Image
 
 from aerial2ground import evaluate_reconstruction as module
+from aerial2ground.car_camera import car_cameras
 from aerial2ground.evaluate_reconstruction import (
     aerial_psnr,
     aligned_poses,
@@ -18,6 +19,7 @@ from aerial2ground.evaluate_reconstruction import (
     one_colour_psnr,
     refined_pose_errors,
     true_poses,
+    view_milliseconds,
 )
 from aerial2ground.stages import load_nerf, load_survey
 from hashnerf.errors import UserError
@@ -67,6 +69,13 @@ def test_ground_views_are_compared_with_the_town(trained):
     errors, pairs = ground_errors(nerf, world, config.camera, path.poses(np.array([1.0, 4.0])))
     assert len(pairs) == 2 and pairs[0][0].shape == pairs[0][1].shape == (18, 32, 3)
     assert 5 < errors["psnr_db"] < 40 and errors["road_depth_rmse_m"] is not None
+
+
+def test_the_time_of_a_view_is_a_median_without_the_first(trained):
+    config, survey, nerf = trained
+    cameras = car_cameras(config.camera, torch.from_numpy(survey.trajectories["outer_loop"].poses(np.arange(4.0))))
+    ticks = iter([0.0, 9.0, 10.0, 10.5, 11.0, 11.2, 12.0, 12.3])  # seconds: 9, then 0.5, 0.2, 0.3
+    assert view_milliseconds(nerf, cameras, lambda: next(ticks)) == pytest.approx(300)
 
 
 def test_the_truth_follows_the_pictures(trained):

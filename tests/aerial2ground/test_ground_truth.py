@@ -1,13 +1,14 @@
 """The truth from the ground, and distances from it."""
 
 import math
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 import torch
 
 from aerial2ground.car_camera import CarCameraConfig, car_cameras
-from aerial2ground.ground_truth import NEAR, axis_depth, seen_from, true_views, view_errors
+from aerial2ground.ground_truth import NEAR, TrueTown, axis_depth, seen_from, true_views, view_errors
 from hashnerf.cameras import Cameras, look_at
 from worlds.mini_city import MiniCityConfig, build_mini_city
 
@@ -16,6 +17,17 @@ CAMERAS = car_cameras(
     CarCameraConfig(width=32, height=18), torch.tensor([[1.9, 0.575, 0.0], [3.175, 2.0, math.pi / 2]])
 )
 VIEWS = true_views(TOWN, CAMERAS)
+
+
+def test_a_true_town_is_rendered_where_loading_moved_it():
+    origin = torch.tensor([1.0, -2.0, 0.5])
+    moved = replace(CAMERAS, pose=CAMERAS.pose.clone())
+    moved.pose[:, :3, 3] -= origin
+    render = TrueTown({"scenario": "mini_city", "seed": 0, "config": asdict(MiniCityConfig())}, origin)()
+    for index, view in enumerate(VIEWS):
+        rgb, depth = render(moved, index)
+        assert (np.abs(rgb.astype(int) - view.rgb.numpy()) > 2).mean() < 0.02, "but for rounding at edges"
+        assert np.isclose(depth, view.depth.numpy(), atol=1e-3).mean() > 0.98
 
 
 def test_hidden_road_is_what_lies_under_a_crown():

@@ -5,6 +5,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -43,6 +44,23 @@ def test_ground_views_have_poses_and_labels(tiny_run):
     assert calls[-1] == (18, 18)
     views = load_views(tiny_run.folder / "ground" / "outer_loop")
     assert views.pictures.shape == (6, 18, 32, 3) and abs(views.steering).max() <= tiny_run.car.steering_limit
+
+
+def test_views_of_the_true_town_need_no_field_and_are_not_mixed_with_its_views(tiny_run):
+    run_ground_views(replace(tiny_run, name="truth"), of_truth=True)
+    folder = tiny_run.folder.with_name("truth") / "ground" / "outer_loop"
+    run_ground_views(tiny_run)
+    field, truth = load_views(tiny_run.folder / "ground" / "outer_loop"), load_views(folder)
+    assert np.allclose(field.poses, truth.poses) and np.allclose(field.steering, truth.steering)
+    assert truth.pictures.shape == field.pictures.shape and (truth.pictures != field.pictures).any()
+    with pytest.raises(UserError, match=r"--overwrite true"):
+        run_ground_views(tiny_run, of_truth=True)
+
+
+def test_without_a_world_there_is_no_true_view(edited):
+    config = edited(lambda document: document.pop("world"))
+    with pytest.raises(UserError, match="was not rendered from an embedded world; leave --of_truth out"):
+        run_ground_views(config, of_truth=True)
 
 
 def test_views_of_another_field_or_camera_are_refused_and_rendered_anew_when_asked(tiny_run):

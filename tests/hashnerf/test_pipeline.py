@@ -14,6 +14,7 @@ from hashnerf import pipeline
 from hashnerf.errors import UserError
 from hashnerf.pipeline import (
     check_script_folder,
+    log_of,
     note,
     read_timings,
     run_stage,
@@ -46,6 +47,17 @@ def test_a_stage_is_run_and_noted(tmp_path):
     run_stage("write", ["-c", f"open({str(tmp_path / 'done')!r}, 'w').write('x' * 10)"], tmp_path)
     assert (tmp_path / "done").read_text() == "x" * 10
     assert read_timings(tmp_path)["write"]["peak_memory_mb"] > 1
+
+
+def test_a_quiet_stage_prints_to_its_log(tmp_path, capfd):
+    code = "import sys; print('out'); print('err', file=sys.stderr); raise SystemExit(3)"
+    with pytest.raises(SystemExit) as stop:
+        run_stage("a b", ["-c", code], tmp_path, quiet=True)
+    assert stop.value.code == 3 and capfd.readouterr() == ("", "")
+    assert log_of(tmp_path, "a b") == tmp_path / "logs" / "a_b.log"
+    assert sorted(log_of(tmp_path, "a b").read_text().split()) == ["err", "out"]
+    run_stage("a b", ["-c", "pass"], tmp_path, quiet=True)
+    assert "a b" in read_timings(tmp_path)
 
 
 @pytest.mark.parametrize(("code", "status"), [("raise SystemExit(2)", 2), ("import os; os.kill(os.getpid(), 9)", 137)])
