@@ -194,7 +194,7 @@ def load_sweep(path: Path) -> Sweep:
     return sweep
 
 
-def _figure(data: Mapping, where: str) -> Figure:
+def _figure(data: Any, where: str) -> Figure:
     needed = ("unit", "better", "file", "key")
     _check_keys(data, needed, needed, where)
     if data["better"] not in ("more", "less"):
@@ -202,7 +202,7 @@ def _figure(data: Mapping, where: str) -> Figure:
     return Figure(data["unit"], data["better"] == "more", data["file"], data["key"])
 
 
-def _knob(data: Mapping, where: str) -> Knob:
+def _knob(data: Any, where: str) -> Knob:
     _check_keys(data, ("key", "keys", "values", "stage"), ("values",), where)
     keys = tuple(data["keys"]) if "keys" in data else (data.get("key"),)
     values = tuple(_as_value(value) for value in data["values"])
@@ -218,7 +218,7 @@ def _as_value(value: Any) -> tuple[Any, ...]:
     return tuple(value) if isinstance(value, list) else (value,)
 
 
-def _shared(data: Mapping | None, where: str) -> SharedRun | None:
+def _shared(data: Any, where: str) -> SharedRun | None:
     if data is None:
         return None
     _check_keys(data, ("name", "stages", "options"), ("name", "stages"), where)

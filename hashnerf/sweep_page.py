@@ -55,7 +55,9 @@ def monotonicity_lines(sweep: Sweep, results: Sequence[Result]) -> list[str]:
         for cheaper, dearer in worse_for_more(sweep, results, knob):
             values = [sweep.knobs[knob].label(one.row.settings[knob]) for one in (cheaper, dearer)]
             figures = [_value(one.figures[sweep.accuracy], accuracy) for one in (cheaper, dearer)]
-            lines.append(f"- {knob}: {values[1]} costs more than {values[0]} and is worse: {' after '.join(figures)}.")
+            lines.append(
+                f"- {knob}: {values[1]} costs more than {values[0]} and is worse: {figures[1]} after {figures[0]}."
+            )
     chance = f"{sweep.noise * accuracy.scale:g} {accuracy.unit}".strip()
     if not lines:
         return [f"Along no knob is a dearer value less accurate than a cheaper one by more than chance ({chance})."]

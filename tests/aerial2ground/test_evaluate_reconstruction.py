@@ -100,7 +100,9 @@ def test_held_out_figures_stay_while_the_field_is_the_same(tiny_run, monkeypatch
     assert "aerial_psnr_db" not in evaluate_run(tiny_run, aerial=False)
     assert "--aerial false" in evaluate_run(tiny_run, aerial=False)["not_run"]["nerf.aerial_heldout_psnr_db"]
     whole = evaluate_run(tiny_run)
-    assert evaluate_run(tiny_run, aerial=False) == whole
+    again = evaluate_run(tiny_run, aerial=False)
+    assert again.pop("view_ms") > 0 and whole.pop("view_ms") > 0  # times, which are never equal
+    assert again == whole
     monkeypatch.setattr(module, "weights_digest", lambda folder: "another")
     assert "aerial_psnr_db" not in evaluate_run(tiny_run, aerial=False)
 

@@ -13,6 +13,7 @@ from carff.evaluation_data import EvaluationData, all_views
 from carff.mixtures import GaussianMixture
 from carff.model import CarffModel
 from carff.nerf import LatentNerf
+from carff.pcvae import Pcvae
 from carff.probe import Probe, ProbeConfig, build_candidates
 from carff.scene_info import SceneInfo, scene_info
 from carff.state_style import state_style
@@ -87,15 +88,13 @@ class KnowingMdn:
         return GaussianMixture(mean.clamp(min=1e-30).log(), means, torch.full((len(mean), states, states), -6.0))
 
 
-class KnowingPcvae:
+class KnowingPcvae(Pcvae):
     """Decodes a latent to the true picture of its largest entry, 0.1 too dark."""
 
     def __init__(self, images: torch.Tensor, views: torch.Tensor):
+        torch.nn.Module.__init__(self)
+        self.register_parameter("place", torch.nn.Parameter(torch.zeros(1)))  # something that lies on the CPU
         self.images, self.views = images, views
-
-    def parameters(self):
-        """Yields something that lies on the CPU."""
-        yield torch.zeros(1)
 
     def decode(self, latents: torch.Tensor, camera: torch.Tensor) -> torch.Tensor:
         """Returns pictures [b, h, w, 3]."""

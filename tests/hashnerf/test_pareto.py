@@ -55,10 +55,10 @@ def test_a_dearer_point_may_be_worse_by_chance_alone():
     assert monotonicity_violations(cost, loss, 0.01) == [(2, 0)]
     assert monotonicity_violations(cost, np.array([2.0, 2.0, 2.0, 2.0]), 0.0) == []
     with pytest.raises(UserError, match="noise is -1"):
-        monotonicity_violations(cost, loss, -1)
+        monotonicity_violations(cost, loss, -1.0)
 
 
-@given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5)), max_size=10), st.integers(0, 3))
+@given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5)), max_size=10), st.sampled_from([0.0, 1.0, 2.0]))
 def test_a_violation_is_found_exactly_where_one_is(pairs, noise):
     cost, loss = (np.array([float(pair[i]) for pair in pairs]) for i in (0, 1))
     slow = {
