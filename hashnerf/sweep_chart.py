@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from hashnerf.figure_style import (
     AMBER,
@@ -25,6 +26,8 @@ from hashnerf.sweep_runs import Result
 COLOURS = (BLUE, GREEN, PURPLE, AMBER, SKY)
 MARKERS = "osD^vPX"
 FRONT_ALPHA = 0.35
+WIDE = 4.0
+"""Costs further apart than this factor are drawn on a logarithmic axis."""
 
 
 def sweep_chart(sweep: Sweep, results: Sequence[Result], presets: Mapping[str, Result]) -> Canvas:
@@ -48,11 +51,13 @@ def sweep_chart(sweep: Sweep, results: Sequence[Result], presets: Mapping[str, R
         place = tuple(values[0] for values in _places(sweep, [row]))
         axes.plot(*place, "o", color=VERMILION, markersize=13, fillstyle="none", markeredgewidth=1.8, zorder=5)
         axes.annotate(words, place, (0, 11), textcoords="offset points", ha="center", fontsize=SMALL, color=VERMILION)
-    axes.set_xscale("log")
-    axes.margins(y=0.12)
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.xaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:g}"[0] in "2345" else "")
-    axes.tick_params(which="minor", labelsize=SMALL, colors=MUTED)
+    axes.margins(x=0.12, y=0.12)
+    costs = [one.figures[sweep.cost] for one in rows]
+    if 0 < WIDE * min(costs) < max(costs):
+        axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
     cost, accuracy = sweep.figures[sweep.cost], sweep.figures[sweep.accuracy]
     if not accuracy.more_is_better:
         axes.invert_yaxis()
