@@ -55,7 +55,7 @@ def run_sweep(
         number, row = place
         commands = sweep.commands(row, folder, scripts)
         found = read_result(folder / row.name, row, commands)
-        if found is not None and not found.reason:
+        if found is not None and found.figures.keys() >= sweep.figures.keys():
             return found
         say(f"{sweep.name} {number + 1}/{len(rows)}: {row.name}")
         result = _measured(sweep, row, folder / row.name, commands, shared)
@@ -74,7 +74,7 @@ def finished_rows(sweep: Sweep, runs: Path, scripts: Path) -> list[Result]:
     """Returns the rows of a sweep that were run by the commands of today, failed ones too."""
     folder = runs / sweep.name
     found = [read_result(folder / row.name, row, sweep.commands(row, folder, scripts)) for row in sweep.rows()]
-    return [one for one in found if one is not None]
+    return [one for one in found if one is not None and (one.reason or one.figures.keys() >= sweep.figures.keys())]
 
 
 def read_result(folder: Path, row: Row, commands: Mapping[str, list[str]]) -> Result | None:

@@ -9,7 +9,7 @@ from hashnerf import sweep_runs
 from hashnerf.errors import UserError
 from hashnerf.sweep import MEMORY, TIME, Figure
 from hashnerf.sweep_runs import figure_of, finished_rows, run_sweep
-from tests.hashnerf.sweeps import PLAN, calls, small_sweep
+from tests.hashnerf.sweeps import FIGURE, PLAN, calls, small_sweep
 
 
 def run(tmp_path, sweep, **options):
@@ -50,6 +50,14 @@ def test_a_finished_row_is_not_run_again_unless_its_commands_changed(tmp_path):
     assert finished_rows(other, tmp_path / "runs", tmp_path) == []
     run(tmp_path, other, most=1)
     assert calls(tmp_path / "runs/small/base") == ["train 2 1 []", "measure 2 1 []"], "made anew, not on top"
+
+
+def test_a_figure_that_is_new_in_the_sweep_is_measured(tmp_path):
+    run(tmp_path, small_sweep(tmp_path), most=1)
+    more = small_sweep(tmp_path, figures=PLAN["figures"] | {"width": FIGURE | {"key": "parts.a.m"}})
+    assert finished_rows(more, tmp_path / "runs", tmp_path) == []
+    results, _ = run(tmp_path, more, most=1)
+    assert results[0].figures["width"] == 1
 
 
 def test_a_row_that_was_interrupted_starts_anew(tmp_path):
