@@ -21,7 +21,7 @@ from aerial2ground.car_camera import CarCameraConfig, car_cameras
 from aerial2ground.config import AerialConfig
 from aerial2ground.ground_truth import axis_depth, true_views, view_errors
 from aerial2ground.pose_refinement import PoseCorrections, pose_errors
-from aerial2ground.reconstruction import PictureRays, RoadNerf
+from aerial2ground.reconstruction import RoadNerf
 from aerial2ground.stages import load_nerf, load_survey
 from hashnerf.cameras import Cameras
 from hashnerf.errors import UserError
@@ -29,6 +29,7 @@ from hashnerf.finite_steps import FiniteSteps
 from hashnerf.fit import RayBatch, render_batch
 from hashnerf.metrics import psnr
 from hashnerf.model_files import weights_digest
+from hashnerf.picture_rays import PictureRays
 from hashnerf.posed_images import PosedImages
 from hashnerf.transforms_json import read_transforms, write_atomically
 from worlds.scenarios import world_from_description

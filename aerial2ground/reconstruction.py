@@ -6,7 +6,7 @@ from dataclasses import field as option
 from pathlib import Path
 
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from aerial2ground.opaque_ground import make_ground_opaque
@@ -14,13 +14,14 @@ from aerial2ground.pose_refinement import PoseCorrections
 from aerial2ground.road_network import RoadNetwork
 from aerial2ground.road_prior import RoadPriorConfig, draw_prior
 from hashnerf.baked_density import BakedDensity
-from hashnerf.cameras import Cameras, camera_rays
+from hashnerf.cameras import Cameras
 from hashnerf.errors import UserError
 from hashnerf.field import Field, FieldConfig
 from hashnerf.fit import FieldFit, FitConfig, RayBatch, fit_field
 from hashnerf.marching import MarchSettings
 from hashnerf.model_files import save_model
 from hashnerf.occupancy import OccupancyConfig, OccupancyGrid
+from hashnerf.picture_rays import PictureRays
 from hashnerf.posed_images import PosedImages
 from hashnerf.rays import Rays
 from hashnerf.render import Rendering, render_image
@@ -130,59 +131,6 @@ class RoadNerf(nn.Module):
     def colour_and_density(self, positions: Tensor, directions: Tensor, ray_index: Tensor) -> tuple[Tensor, Tensor]:
         """The field as rendering wants it."""
         return self.field(positions, directions)
-
-
-@dataclass(frozen=True)
-class PictureRays:
-    """All pixels of some pictures, ready to be drawn from."""
-
-    images: UInt8[Tensor, "n h w 3"]
-    poses: Float[Tensor, "n 4 4"]
-    local: Float[Tensor, "n_or_one pixels 3"]
-    """Directions in the camera's own frame; one row where all lenses are alike."""
-
-    @classmethod
-    def of(cls, data: PosedImages) -> "PictureRays":
-        """Prepares the pictures of a data set."""
-        cameras = data.cameras
-        lens = torch.cat([cameras.focal, cameras.centre, cameras.distortion], dim=1)
-        alike = bool((lens == lens[0]).all())
-        rows = cameras.select([0]) if alike else cameras
-        local = torch.stack([local_directions(rows, index) for index in range(len(rows))])
-        return cls(data.images, cameras.pose, local)
-
-    def draw(self, count: int, generator: torch.Generator) -> tuple[Int[Tensor, " n"], Int[Tensor, " n"]]:
-        """Draws picture numbers and pixels, evenly."""
-        pixels = self.local.shape[1]
-        place = torch.randint(len(self.images) * pixels, (count,), generator=generator)
-        return place // pixels, place % pixels
-
-    def rays(
-        self, number: Int[Tensor, " n"], pixel: Int[Tensor, " n"], corrections: PoseCorrections | None
-    ) -> tuple[Rays, Float[Tensor, "n 3"]]:
-        """Returns the world rays through some pixels, from corrected poses, and their colours."""
-        poses = self.poses[number]
-        if corrections is not None:
-            poses = corrections(poses, number)
-        local = self.local[number if len(self.local) > 1 else torch.zeros_like(number), pixel]
-        directions = (poses[:, :3, :3] @ local[:, :, None])[:, :, 0]
-        colour = self.images.flatten(1, 2)[number, pixel].float() / 255
-        return Rays(poses[:, :3, 3], torch.nn.functional.normalize(directions, dim=1)), colour
-
-
-def local_directions(cameras: Cameras, index: int) -> Float[Tensor, "pixels 3"]:
-    """Returns the unit directions of all pixels of a camera in its own frame."""
-    columns, rows = torch.meshgrid(torch.arange(cameras.width), torch.arange(cameras.height), indexing="xy")
-    pixel = torch.stack([columns, rows], dim=-1).reshape(-1, 2) + 0.5
-    still = Cameras(
-        torch.eye(4)[None],
-        cameras.focal[index : index + 1],
-        cameras.centre[index : index + 1],
-        cameras.distortion[index : index + 1],
-        cameras.width,
-        cameras.height,
-    )
-    return camera_rays(still, torch.zeros(len(pixel), dtype=torch.int64), pixel).directions
 
 
 def train_road_nerf(

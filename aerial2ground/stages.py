@@ -22,7 +22,7 @@ from aerial2ground.pure_pursuit import require_followable
 from aerial2ground.reconstruction import RoadNerf, train_road_nerf
 from aerial2ground.road_network import RoadNetwork, read_road_file, read_road_network
 from aerial2ground.trajectories import read_trajectories
-from hashnerf.cameras import Cameras, any_sees, project
+from hashnerf.cameras import Cameras, project
 from hashnerf.command_line import plain_config, save_config, set_threads, usable_cores
 from hashnerf.errors import UserError
 from hashnerf.made_from import begin, digest
@@ -65,7 +65,8 @@ def load_survey(config: AerialConfig) -> Survey:
     seed_everything(config.seed)
     folder = FilePath(config.dataset)
     source = str(folder / "transforms.json")
-    data = _with_box(_with_splits(load_posed_images(folder, config.image_size or None), config.test_every), config)
+    data = load_posed_images(folder, config.image_size or None)
+    data = data.with_test_every(config.test_every).with_scene_box(config.scene_box)
     network = _road_network(config, data, source)
     trajectories = {}
     if data.extras.get("trajectories") is not None:
@@ -103,22 +104,6 @@ def _road_network(config: AerialConfig, data: PosedImages, source: str) -> RoadN
     if entry is not None:
         raise UserError(f"{source}: has a road_network of its own; leave road_network ({config.road_network}) empty")
     return read_road_network(read_road_file(FilePath(config.road_network)), data.origin, config.road_network)
-
-
-def _with_splits(data: PosedImages, every: int) -> PosedImages:
-    if not every or any(frame.split != "train" for frame in data.frames):
-        return data
-    frames = [replace(f, split="train" if row % every else "test") for row, f in enumerate(data.frames)]
-    return replace(data, frames=tuple(frames))
-
-
-def _with_box(data: PosedImages, config: AerialConfig) -> PosedImages:
-    if not config.scene_box:
-        return data
-    box = (torch.tensor(config.scene_box, dtype=torch.float64).view(2, 3) - data.origin).float()
-    if not any_sees(data.cameras, box):
-        raise UserError(f"scene_box is {list(config.scene_box)}; no camera sees it: give metres, in the poses' frame")
-    return replace(data, scene_box=box)
 
 
 def unseen_road(cameras: Cameras, network: RoadNetwork, box: Float[Tensor, "2 3"]) -> float:

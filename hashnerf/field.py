@@ -33,16 +33,16 @@ class FieldConfig:
     """Capacity of a radiance field."""
 
     levels: int = 8
-    """Resolutions of the hash grid."""
+    """Resolutions of the hash grid; 0 derives them from the scene (`hashnerf.capacity`)."""
     features_per_level: int = 2
     """Features stored per vertex (even)."""
     log2_table_size: int = 17
-    """Each level stores at most 2 to this power vertices; vertices beyond share entries."""
+    """Each level stores at most 2 to this power vertices; vertices beyond share entries. 0 derives it."""
     base_resolution: int = 16
     """Cells along the longest side of the scene box at the coarsest level."""
     finest_resolution: int = 192
     """Cells along the longest side of the scene box at the finest level; cells much finer than a pixel's footprint only
-    add speckle."""
+    add speckle. 0 derives it from the scene."""
     flatness: float = 1.0
     """Cells are this many times lower than wide: seen at a grazing angle, flat ground must be thin."""
     hidden_width: int = 64
@@ -70,15 +70,17 @@ class FieldConfig:
     """Compile the hash grid with torch.compile where a compiler works."""
 
     def __post_init__(self):
-        whole = ("levels", "features_per_level", "base_resolution", "hidden_width", "density_layers", "colour_layers")
+        whole = ("features_per_level", "base_resolution", "hidden_width", "density_layers", "colour_layers")
         for name in whole:
             if getattr(self, name) < 1:
                 raise UserError(f"field.{name} is {getattr(self, name)}: use at least 1")
+        if self.levels < 0:
+            raise UserError(f"field.levels is {self.levels}: use at least 1, or 0 to derive them from the scene")
         if self.features_per_level % 2:
             raise UserError(f"field.features_per_level is {self.features_per_level}: use an even number")
-        if not 4 <= self.log2_table_size <= 28:
-            raise UserError(f"field.log2_table_size is {self.log2_table_size}: use 4 to 28")
-        if self.finest_resolution < self.base_resolution:
+        if self.log2_table_size and not 4 <= self.log2_table_size <= 28:
+            raise UserError(f"field.log2_table_size is {self.log2_table_size}: use 4 to 28, or 0 to derive it")
+        if self.finest_resolution and self.finest_resolution < self.base_resolution:
             raise UserError(
                 f"field.finest_resolution is {self.finest_resolution}: use at least base_resolution, "
                 f"{self.base_resolution}"
@@ -90,7 +92,7 @@ class FieldConfig:
         for name in ("flatness", "initial_thickness", "cell_thickness"):
             if not 0 < getattr(self, name) < math.inf:
                 raise UserError(f"field.{name} is {getattr(self, name)}: use a positive number")
-        if self.initial_thickness >= self.greatest_thickness:
+        if self.finest_resolution and self.initial_thickness >= self.greatest_thickness:
             raise UserError(
                 f"field.initial_thickness is {self.initial_thickness}: use less than "
                 f"{self.greatest_thickness:g}, cell_thickness times finest_resolution times flatness"
@@ -107,6 +109,10 @@ class Field(nn.Module):
 
     def __init__(self, config: FieldConfig, scene_box: Float[Tensor, "2 3"], condition_size: int = 0):
         super().__init__()
+        if not (config.levels and config.log2_table_size and config.finest_resolution):
+            raise ValueError(
+                "the field's levels, log2_table_size or finest_resolution is 0: call choose_capacity first"
+            )
         self.config, self.condition_size = config, condition_size
         self.hash_grid = HashGrid(
             scene_box.float(),

@@ -33,9 +33,10 @@ class MarchSettings:
     """How rays are sampled."""
 
     candidates: int = 96
-    """Positions tried along a ray between entering and leaving the scene box."""
+    """Positions tried along a ray between entering and leaving the scene box; 0 derives it from the scene."""
     even_distance: float = 20.0
-    """Up to about this distance (m) positions are evenly spaced, beyond it the spacing grows with distance."""
+    """Up to about this distance (m) positions are evenly spaced, beyond it the spacing grows with distance; 0 derives
+    it from the scene."""
     near: float = 0.05
     """Nothing closer to the camera than this (m) is sampled."""
     samples: int = 48
@@ -49,8 +50,8 @@ class MarchSettings:
     """A ray ends where cells known opaque in every condition leave less light than this; 0 never ends it."""
 
     def __post_init__(self):
-        if self.candidates < 1:
-            raise UserError(f"march.candidates is {self.candidates}: use at least 1")
+        if self.candidates < 0:
+            raise UserError(f"march.candidates is {self.candidates}: use at least 1, or 0 to derive it from the scene")
         if self.samples < 0:
             raise UserError(f"march.samples is {self.samples}: use 0 or more")
         if not 0 < self.samples_per_opacity <= MOST_SAMPLES_PER_OPACITY:
@@ -59,8 +60,10 @@ class MarchSettings:
             raise UserError(f"march.guided_per_opacity is {self.guided_per_opacity}: use 0 or a number up to 1e6")
         if self.guided_per_opacity and not self.samples:
             raise UserError("march.guided_per_opacity needs samples to look at first: use march.samples of 1 or more")
-        if not 0 < self.even_distance < math.inf:
-            raise UserError(f"march.even_distance is {self.even_distance}: use a positive number of metres")
+        if not 0 <= self.even_distance < math.inf:
+            raise UserError(
+                f"march.even_distance is {self.even_distance}: use a positive number of metres, or 0 to derive it"
+            )
         if not 0 <= self.near < math.inf:
             raise UserError(f"march.near is {self.near}: use 0 or a positive number of metres")
         if not 0 <= self.stop_transmittance < 1:
@@ -70,7 +73,9 @@ class MarchSettings:
 def intervals(
     near: Float[Tensor, " rays"], far: Float[Tensor, " rays"], settings: MarchSettings
 ) -> tuple[Float[Tensor, "rays candidates"], Float[Tensor, "rays candidates"]]:
-    """Return start and length (m) of the intervals between near and far."""
+    """Return start and length (m) of the intervals between near and far; ValueError for settings that are left open."""
+    if not settings.candidates or not settings.even_distance:
+        raise ValueError("march.candidates and march.even_distance are 0: fill them in by choose_capacity first")
     steps = torch.arange(settings.candidates, device=near.device, dtype=near.dtype)
     near, scale = near[:, None], (near + settings.even_distance)[:, None]
     # log1p and expm1 of small numbers, not differences of log and exp: short intervals would drown in rounding

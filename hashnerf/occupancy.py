@@ -34,7 +34,7 @@ class OccupancyConfig:
     """Resolution and caution of the occupancy grid."""
 
     cell: float = 0.5
-    """Largest edge of a cell, metres."""
+    """Largest edge of a cell, metres; 0 derives it from the scene (`hashnerf.capacity`)."""
     threshold: float = 0.01
     """A cell whose optical thickness stays below this in every condition is skipped."""
     decay: float = 0.95
@@ -47,9 +47,10 @@ class OccupancyConfig:
     """After the warm-up each update treats one cell in this many."""
 
     def __post_init__(self):
-        for name in ("cell", "threshold"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise UserError(f"occupancy.{name} is {getattr(self, name)}: use a positive number")
+        if not 0 <= self.cell < math.inf:
+            raise UserError(f"occupancy.cell is {self.cell}: use a positive number, or 0 to derive it from the scene")
+        if not 0 < self.threshold < math.inf:
+            raise UserError(f"occupancy.threshold is {self.threshold}: use a positive number")
         if not 0 < self.decay < 1:
             raise UserError(f"occupancy.decay is {self.decay}: use a number between 0 and 1")
         for name in ("points", "warmup", "turns"):
@@ -62,6 +63,8 @@ class OccupancyGrid(nn.Module):
 
     def __init__(self, config: OccupancyConfig, box: Float[Tensor, "2 3"]):
         super().__init__()
+        if not config.cell:
+            raise ValueError("occupancy.cell is 0: fill it in by choose_capacity first")
         self.config = config
         extent = (box[1] - box[0]).double()
         self.shape = tuple(max(1, math.ceil(side / config.cell - 1e-6)) for side in extent.tolist())

@@ -5,6 +5,7 @@ actor boxes in `extras`) is in world metres minus `origin`, which is zero unless
 own origin, as map coordinates do.
 """
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from hashnerf.image_files import read_depth, read_rgb, resolve_inside
 from hashnerf.lens import COEFFICIENT_KEYS, LENS_KEYS, UNSUPPORTED_COEFFICIENTS, read_lens
 from hashnerf.poses import default_scene_box, read_pose, scene_origin
 from hashnerf.transforms_json import EXTRA_KEYS, check_extras, is_index, misspelled, read_transforms
+from hashnerf.visible_volume import visible_box
 
 SPLITS = ("train", "val", "test")
 IMAGE_EXTENSIONS = (".png", ".jpg")
@@ -68,6 +70,25 @@ class PosedImages:
         if name not in SPLITS:
             raise UserError(f"the split {name!r} is not one of {', '.join(SPLITS)}")
         return self.select([row for row, frame in enumerate(self.frames) if frame.split == name])
+
+    def with_test_every(self, every: int) -> "PosedImages":
+        """The same with every `every`-th picture from the first held out, unless frames name splits or `every` is 0."""
+        if not every or any(frame.split != "train" for frame in self.frames):
+            return self
+        frames = [replace(f, split="train" if row % every else "test") for row, f in enumerate(self.frames)]
+        return replace(self, frames=tuple(frames))
+
+    def with_scene_box(self, told: Sequence[float]) -> "PosedImages":
+        """The same with another box (x0, y0, z0, x1, y1, z1), metres in the file's frame; unchanged if `told` is empty.
+
+        Raises UserError for a box that no camera sees.
+        """
+        if not told:
+            return self
+        box = (torch.tensor(list(told), dtype=torch.float64).view(2, 3) - self.origin).float()
+        if not any_sees(self.cameras, box):
+            raise UserError(f"scene_box is {list(told)}; no camera sees it: give metres, in the poses' frame")
+        return replace(self, scene_box=box)
 
 
 @dataclass
@@ -271,6 +292,9 @@ def _assemble(folder: Path, document: dict, views: list[_View]) -> PosedImages:
     width, height = views[0].size
     cameras = Cameras(torch.from_numpy(poses).float(), lens[:, :2], lens[:, 2:4], lens[:, 4:], width, height)
     images = torch.from_numpy(np.stack([view.image for view in views]))
+    scene_box = torch.from_numpy(box - origin).float()
+    if not document.get("scene_box"):
+        scene_box = visible_box(cameras, scene_box)  # loose as it is, and what nobody sees cannot be learned
     extras = {key: document[key] for key in document if key not in (*CAMERA_KEYS, "frames", "scene_box")}
     for boxes in (extras.get("actors") or {}).values():
         for actor in boxes:
@@ -279,7 +303,7 @@ def _assemble(folder: Path, document: dict, views: list[_View]) -> PosedImages:
         images,
         cameras.scaled(images.shape[2], images.shape[1]),
         tuple(view.frame for view in views),
-        torch.from_numpy(box - origin).float(),
+        scene_box,
         extras,
         folder,
         torch.from_numpy(origin),

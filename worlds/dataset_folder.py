@@ -19,6 +19,7 @@ from worlds.dataset import world_description, write_dataset
 from worlds.glb import export_glb
 from worlds.intersection import IntersectionConfig
 from worlds.mini_city import MiniCityConfig
+from worlds.one_box import OneBoxConfig
 from worlds.scenarios import SCENARIOS, ScenarioConfig, build_world
 from worlds.scene import Scene
 from worlds.single_scene_intersection import SingleSceneIntersectionConfig
@@ -29,9 +30,9 @@ from worlds.two_lane_merge import TwoLaneMergeConfig
 class DatasetConfig:
     """What to render and where to."""
 
-    scenario: Literal["intersection", "two_lane_merge", "single_scene_intersection", "cube_cylinder", "mini_city"] = (
-        "intersection"
-    )
+    scenario: Literal[
+        "intersection", "two_lane_merge", "single_scene_intersection", "cube_cylinder", "mini_city", "one_box"
+    ] = "intersection"
     """Which scenario; its settings are in the group of the same name."""
     seed: int = 0
     """Varies layout, sizes, colours and cameras within what the settings allow."""
@@ -55,6 +56,8 @@ class DatasetConfig:
     """Settings of the cube and cylinder."""
     mini_city: MiniCityConfig = field(default_factory=MiniCityConfig)
     """Settings of the mini-city and its survey."""
+    one_box: OneBoxConfig = field(default_factory=OneBoxConfig)
+    """Settings of the box in the air."""
 
     def __post_init__(self) -> None:
         check_between("seed", self.seed, 0, 2**32 - 1)

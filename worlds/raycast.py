@@ -19,6 +19,7 @@ class Caster:
     def __init__(self, meshes: Sequence[tuple[int, Mesh]]):
         self.empty = not meshes
         if self.empty:
+            self.object_id = np.zeros(1, np.int32)  # what a ray that hits nothing looks up
             return
         self.mesh = merge([mesh for _, mesh in meshes])
         self.object_id = np.concatenate([np.full(len(mesh.faces), number, np.int32) for number, mesh in meshes])

@@ -11,12 +11,18 @@ from worlds.boxes import Pose
 from worlds.cube_cylinder import CubeCylinderConfig, build_cube_cylinder
 from worlds.intersection import IntersectionConfig, build_intersection
 from worlds.mini_city import MiniCityConfig, build_mini_city
+from worlds.one_box import OneBoxConfig, build_one_box
 from worlds.scene import Scene, World
 from worlds.single_scene_intersection import SingleSceneIntersectionConfig, build_single_scene_intersection
 from worlds.two_lane_merge import TwoLaneMergeConfig, build_two_lane_merge
 
 ScenarioConfig = (
-    MiniCityConfig | IntersectionConfig | TwoLaneMergeConfig | SingleSceneIntersectionConfig | CubeCylinderConfig
+    MiniCityConfig
+    | IntersectionConfig
+    | TwoLaneMergeConfig
+    | SingleSceneIntersectionConfig
+    | CubeCylinderConfig
+    | OneBoxConfig
 )
 
 _BUILDERS = {
@@ -25,6 +31,7 @@ _BUILDERS = {
     "single_scene_intersection": (SingleSceneIntersectionConfig, build_single_scene_intersection),
     "cube_cylinder": (CubeCylinderConfig, build_cube_cylinder),
     "mini_city": (MiniCityConfig, build_mini_city),
+    "one_box": (OneBoxConfig, build_one_box),
 }
 SCENARIOS = tuple(_BUILDERS)
 

@@ -104,11 +104,14 @@ class StaticView:
         self._centre_id = np.where(face >= 0, stage.caster.object_id[face], 0).astype(np.int32)
         distance, face = stage.caster.cast(self._fine.origins, self._fine.directions)
         hit = np.flatnonzero(face >= 0)
+        self._distance = distance
+        self._ambient = sky_colour(self._fine.directions)
+        self._lit, self._lit_origin, self._lit_sun = hit[:0], self._fine.origins[:0], self._ambient[:0]
+        if not len(hit):  # an empty sky has no light on faces
+            return
         surface = _surface(stage, self._fine, hit, distance[hit], face[hit])
         free = ~stage.caster.occluded(surface.shadow_origin, stage.sun)
         lit = surface.sunlit[free]
-        self._distance = distance
-        self._ambient = sky_colour(self._fine.directions)
         self._ambient[hit] = surface.ambient
         self._lit, self._lit_origin, self._lit_sun = hit[lit], surface.shadow_origin[free], surface.sun[lit]
 

@@ -1,0 +1,164 @@
+"""How much of a radiance field a scene requires, read off its pictures before any training.
+
+Three questions, three numbers. How fine? A cell need not be finer than what a pixel covers where the cameras look (the
+*footprint*, depth over focal length), nor finer than the coarsest pixels that would show the pictures as well. How many
+table entries? One *texel* is a pixel's footprint of surface; texels are the pixels that show anything, divided by the
+number of pictures that share each point. How many samples? As many as a ray crosses cells of the occupancy grid.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+from torch.nn.functional import avg_pool2d, interpolate
+
+from hashnerf.cameras import Cameras, camera_rays
+from hashnerf.field import FieldConfig
+from hashnerf.marching import MarchSettings
+from hashnerf.occupancy import OccupancyConfig
+from hashnerf.ray_box import intersect_box
+from hashnerf.visible_volume import box_lattice, visible_points
+
+LATTICE = 20
+"""Points along each side of the box that are looked for in the pictures."""
+MOST_PICTURES = 64
+"""Pictures that are looked at, evenly chosen."""
+DETAIL_DB = 40.0
+"""Pictures that agree this well with themselves at a lower resolution need no more of it."""
+COARSEST = 64
+"""Most by which the pixels are enlarged in search of detail."""
+PLAIN = 2 / 255
+"""Blocks of pixels whose colours stay within this of their mean show nothing: the last bit of the file and its noise."""
+BLOCK = 8
+"""Side of such a block, pixels."""
+GROWTH = 1.5
+"""Resolution of a level over that of the one before (as in Instant-NGP: 1.26 to 2)."""
+VERTICES_PER_TEXEL = 2.0
+"""A surface runs between two layers of vertices."""
+OCCUPANCY_CELLS = 1 << 18
+"""Cells of the occupancy grid: to ask all of them for their density costs about as much as a few training steps."""
+CANDIDATES_PER_CELL = 1.5
+"""Positions tried on the way through an occupancy cell."""
+NEARER = 0.25
+"""Share of the views of a place that are near enough to show its details."""
+RAYS = 4096
+
+
+@dataclass(frozen=True)
+class SceneMeasures:
+    """What pictures show, metres."""
+
+    footprint: float
+    """What a pixel covers of the places it shows, in the nearer quarter of all views of a place."""
+    distance: float
+    """From the cameras to the places that they show, the median."""
+    enlargement: int
+    """How many times larger pixels could be and still show the pictures."""
+    texels: float
+    """Pixels of surface that show anything, each counted once however many pictures show it."""
+    chord: float
+    """The way of a pixel's ray through the box, 90 % are shorter."""
+
+
+@dataclass(frozen=True)
+class Capacity:
+    """What a scene is modelled with, and why."""
+
+    field: FieldConfig
+    occupancy: OccupancyConfig
+    march: MarchSettings
+    reason: str
+    """One line: what was measured, and what was chosen from it."""
+
+
+def measure_scene(images: UInt8[Tensor, "n h w 3"], cameras: Cameras, box: Float[Tensor, "2 3"]) -> SceneMeasures:
+    """Looks at pictures and at what their cameras see of a box (metres)."""
+    count = len(cameras)
+    rows = torch.linspace(0, count - 1, min(count, MOST_PICTURES)).round().long()
+    chosen, pictures = cameras.select(rows), images[rows]
+    seen, depth = visible_points(chosen, box_lattice(box, LATTICE))
+    if not bool(seen.any()):  # a box between the cameras' lines of sight: its middle is all that is known
+        distance = nearer = float((cameras.pose[:, :3, 3] - box.mean(dim=0)).norm(dim=1).median())
+        shared = 1.0
+    else:
+        nearer, distance = np.quantile(depth[seen].numpy(), [NEARER, 0.5]).tolist()
+        shared = float(seen.sum(dim=0)[seen.any(dim=0)].float().mean()) * count / len(rows)
+    pixels = count * images.shape[1] * images.shape[2]
+    return SceneMeasures(
+        nearer / float(cameras.focal.mean()),
+        distance,
+        enlargement(pictures),
+        max(1.0, pixels * structured_share(pictures) / shared * (distance / nearer) ** 2),
+        _chord(chosen, box),
+    )
+
+
+def choose_capacity(
+    images: UInt8[Tensor, "n h w 3"],
+    cameras: Cameras,
+    box: Float[Tensor, "2 3"],
+    field: FieldConfig,
+    occupancy: OccupancyConfig,
+    march: MarchSettings,
+) -> Capacity:
+    """Fills in what the settings leave open (0) from the pictures; what they state stays. Says so in one line."""
+    scene = measure_scene(images, cameras, box)
+    longest = float((box[1] - box[0]).amax())
+    cell = scene.footprint * scene.enlargement
+    finest = field.finest_resolution or max(2, math.ceil(longest / cell))
+    base = min(field.base_resolution, finest)
+    levels = field.levels or 1 + math.ceil(math.log(finest / base) / math.log(GROWTH) - 1e-9)
+    texels = scene.texels / scene.enlargement**2
+    entries = field.log2_table_size or min(24, max(8, math.ceil(math.log2(VERTICES_PER_TEXEL * texels))))
+    volume = float((box[1] - box[0]).double().prod())
+    occupied = occupancy.cell or max((volume / OCCUPANCY_CELLS) ** (1 / 3), longest / finest)
+    candidates = march.candidates or min(256, max(16, math.ceil(CANDIDATES_PER_CELL * scene.chord / occupied)))
+    even = march.even_distance or scene.distance
+    reason = (
+        f"capacity: pixels cover {scene.footprint:.3g} m at {scene.distance:.3g} m and could be {scene.enlargement} x "
+        f"larger, about {texels:.2g} of them show surface: {levels} levels to {finest} cells along {longest:.3g} m, "
+        f"2^{entries} entries, occupancy cells of {occupied:.2g} m, {candidates} candidates a ray"
+    )
+    return Capacity(
+        replace(field, levels=levels, finest_resolution=finest, base_resolution=base, log2_table_size=entries),
+        replace(occupancy, cell=occupied),
+        replace(march, candidates=candidates, even_distance=even),
+        reason,
+    )
+
+
+def enlargement(images: UInt8[Tensor, "n h w 3"]) -> int:
+    """Returns by how much (a power of two) pixels can grow until the pictures lose more than `DETAIL_DB` keeps."""
+    pictures = images.permute(0, 3, 1, 2).float() / 255
+    factor = 1
+    while 2 * factor <= min(COARSEST, *pictures.shape[2:]):
+        coarse = avg_pool2d(pictures, 2 * factor, ceil_mode=True, count_include_pad=False)
+        again = interpolate(coarse, scale_factor=2 * factor, mode="bilinear")[
+            ..., : pictures.shape[2], : pictures.shape[3]
+        ]
+        if float((again - pictures).square().mean()) > 10 ** (-DETAIL_DB / 10):
+            break
+        factor *= 2
+    return factor
+
+
+def structured_share(images: UInt8[Tensor, "n h w 3"]) -> float:
+    """Returns the share of the pictures' area whose blocks of 8 x 8 pixels are not of one colour."""
+    pictures = images.permute(0, 3, 1, 2).float() / 255
+    mean = avg_pool2d(pictures, BLOCK, ceil_mode=True, count_include_pad=False)
+    square = avg_pool2d(pictures.square(), BLOCK, ceil_mode=True, count_include_pad=False)
+    spread = (square - mean.square()).clamp(min=0).sqrt().amax(dim=1)
+    return float((spread > PLAIN).float().mean())
+
+
+def _chord(cameras: Cameras, box: Tensor) -> float:
+    generator = torch.Generator().manual_seed(0)
+    number = torch.randint(len(cameras), (RAYS,), generator=generator)
+    pixel = torch.rand(RAYS, 2, generator=generator) * torch.tensor([float(cameras.width), float(cameras.height)])
+    rays = camera_rays(cameras, number, pixel)
+    near, far, hit = intersect_box(rays.origins, rays.directions, box)
+    inside = (far - near)[hit]
+    return float(torch.quantile(inside, 0.9)) if len(inside) else float((box[1] - box[0]).amax())
