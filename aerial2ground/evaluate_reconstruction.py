@@ -31,6 +31,7 @@ from hashnerf.metrics import psnr
 from hashnerf.model_files import weights_digest
 from hashnerf.picture_rays import PictureRays
 from hashnerf.posed_images import PosedImages
+from hashnerf.static_scene import one_colour_psnr
 from hashnerf.transforms_json import read_transforms, write_atomically
 from worlds.scenarios import world_from_description
 from worlds.scene import World
@@ -105,13 +106,6 @@ def aerial_psnr(nerf: RoadNerf, data: PosedImages, poses: Float[Tensor, "n 4 4"]
         seen = nerf.view(cameras, index).rgb.view(picture.shape)
         values.append(psnr(seen, picture.float() / 255))
     return float(np.mean(values))
-
-
-def one_colour_psnr(train: PosedImages, test: PosedImages) -> float:
-    """Returns the mean PSNR (dB) of pictures in the mean colour of the training ones: what knowing nothing gives."""
-    colour = train.images.float().mean(dim=(0, 1, 2)) / 255
-    pictures = test.images.float() / 255
-    return float(np.mean([psnr(colour.expand_as(picture), picture) for picture in pictures]))
 
 
 def aligned_poses(nerf: RoadNerf, data: PosedImages, seed: int = 0) -> Float[Tensor, "n 4 4"]:

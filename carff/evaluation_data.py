@@ -23,6 +23,7 @@ from carff.scene_info import scene_info
 from carff.stages import load_pcvae
 from carff.state_style import StateStyle, state_style
 from carff.states import StateTable, ambiguous_groups, build_state_table
+from hashnerf.capacity import filled_from, is_open
 from hashnerf.command_line import config_changes, plain_config
 from hashnerf.errors import UserError
 from hashnerf.posed_images import PosedImages, load_posed_images
@@ -138,6 +139,8 @@ class EvaluationData:
 def load_evaluation_data(config: CarffConfig) -> EvaluationData:
     """Loads the run and its data set; raises UserError when a stage is missing or the data is not what it learned."""
     model = load_carff(config.folder)
+    if is_open(config.nerf):  # what was derived from the pictures when the field was trained
+        config = replace(config, nerf=filled_from(config.nerf, plain_config(model.config.nerf)))
     made, asked = ({key: plain_config(one)[key] for key in FROM_THE_RUN} for one in (model.config, config))
     changes = config_changes(made, asked)
     if changes:

@@ -23,6 +23,7 @@ from carff.pcvae_training import train_pcvae
 from carff.scene_info import SceneInfo, scene_info
 from carff.states import StateTable, build_state_table
 from carff.transitions import TransitionSampler, ViewBeliefs
+from hashnerf.capacity import fitted_to_scene, is_open
 from hashnerf.command_line import config_changes, plain_config, read_yaml, save_config, set_threads
 from hashnerf.errors import UserError
 from hashnerf.model_files import load_model
@@ -82,6 +83,7 @@ def run_nerf(config: CarffConfig) -> None:
     data, table = load_data(config)
     pcvae = _pcvae_of_this_config(config, data, table)
     beliefs = encode_views(pcvae, data, table.view_index("train"))
+    config = with_capacity(config, data)
     nerf = build_nerf(config.nerf, beliefs, data.scene_box, config.seed).to(device_of(config))
     fabric = Fabric(accelerator=device_of(config).type, devices=1)
     held_out = training_views(table, (BIRDS_EYE,))
@@ -107,6 +109,16 @@ def run_nerf(config: CarffConfig) -> None:
         config.overwrite,
         held_out,
     )
+
+
+def with_capacity(config: CarffConfig, data: PosedImages) -> CarffConfig:
+    """Returns the config with what the radiance field leaves open derived from the training views, and says why."""
+    if not is_open(config.nerf):
+        return config
+    train = data.split("train")
+    nerf, reason = fitted_to_scene(config.nerf, train.images, train.cameras, data.scene_box)
+    say(reason)
+    return replace(config, nerf=nerf)
 
 
 def settled(config: NerfConfig) -> NerfConfig:

@@ -7,7 +7,9 @@ number of pictures that share each point. How many samples? As many as a ray cro
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
@@ -31,7 +33,7 @@ DETAIL_DB = 40.0
 COARSEST = 64
 """Most by which the pixels are enlarged in search of detail."""
 PLAIN = 2 / 255
-"""Blocks of pixels whose colours stay within this of their mean show nothing: the last bit of the file and its noise."""
+"""Blocks of pixels whose colours stay within this of their mean show nothing but the noise of the last bits."""
 BLOCK = 8
 """Side of such a block, pixels."""
 GROWTH = 1.5
@@ -44,7 +46,11 @@ CANDIDATES_PER_CELL = 1.5
 """Positions tried on the way through an occupancy cell."""
 NEARER = 0.25
 """Share of the views of a place that are near enough to show its details."""
+FEWEST_ENTRIES, MOST_ENTRIES = 8, 24
+"""Binary logarithms."""
+FEWEST_CANDIDATES, MOST_CANDIDATES = 16, 256
 RAYS = 4096
+"""Rays whose way through the box is measured."""
 
 
 @dataclass(frozen=True)
@@ -63,15 +69,23 @@ class SceneMeasures:
     """The way of a pixel's ray through the box, 90 % are shorter."""
 
 
-@dataclass(frozen=True)
-class Capacity:
-    """What a scene is modelled with, and why."""
+@runtime_checkable
+class Capacities(Protocol):
+    """Settings of a radiance field of any pipeline: a frozen dataclass with these three parts."""
 
     field: FieldConfig
     occupancy: OccupancyConfig
     march: MarchSettings
-    reason: str
-    """One line: what was measured, and what was chosen from it."""
+
+
+Settings = TypeVar("Settings", bound=Capacities)
+
+OPEN = {
+    "field": ("levels", "log2_table_size", "finest_resolution"),
+    "occupancy": ("cell",),
+    "march": ("candidates", "even_distance"),
+}
+"""What settings may leave open, as 0."""
 
 
 def measure_scene(images: UInt8[Tensor, "n h w 3"], cameras: Cameras, box: Float[Tensor, "2 3"]) -> SceneMeasures:
@@ -96,38 +110,56 @@ def measure_scene(images: UInt8[Tensor, "n h w 3"], cameras: Cameras, box: Float
     )
 
 
-def choose_capacity(
-    images: UInt8[Tensor, "n h w 3"],
-    cameras: Cameras,
-    box: Float[Tensor, "2 3"],
-    field: FieldConfig,
-    occupancy: OccupancyConfig,
-    march: MarchSettings,
-) -> Capacity:
-    """Fills in what the settings leave open (0) from the pictures; what they state stays. Says so in one line."""
+def is_open(settings: Capacities) -> bool:
+    """Returns whether settings leave anything to be derived from the pictures."""
+    return any(not getattr(getattr(settings, part), name) for part, names in OPEN.items() for name in names)
+
+
+def fitted_to_scene(
+    settings: Settings, images: UInt8[Tensor, "n h w 3"], cameras: Cameras, box: Float[Tensor, "2 3"]
+) -> tuple[Settings, str]:
+    """Returns settings with what they leave open (0) derived from pictures of a box (metres), and why, in one line.
+
+    What they state stays. Raises UserError where that leaves no room for `field.initial_thickness`.
+    """
     scene = measure_scene(images, cameras, box)
-    longest = float((box[1] - box[0]).amax())
-    cell = scene.footprint * scene.enlargement
-    finest = field.finest_resolution or max(2, math.ceil(longest / cell))
+    field, sides = settings.field, (box[1] - box[0]).double()
+    longest = float(sides.amax())
+    finest = field.finest_resolution or max(2, math.ceil(longest / (scene.footprint * scene.enlargement)))
     base = min(field.base_resolution, finest)
     levels = field.levels or 1 + math.ceil(math.log(finest / base) / math.log(GROWTH) - 1e-9)
-    texels = scene.texels / scene.enlargement**2
-    entries = field.log2_table_size or min(24, max(8, math.ceil(math.log2(VERTICES_PER_TEXEL * texels))))
-    volume = float((box[1] - box[0]).double().prod())
-    occupied = occupancy.cell or max((volume / OCCUPANCY_CELLS) ** (1 / 3), longest / finest)
-    candidates = march.candidates or min(256, max(16, math.ceil(CANDIDATES_PER_CELL * scene.chord / occupied)))
-    even = march.even_distance or scene.distance
+    texels = max(1.0, scene.texels / scene.enlargement**2)
+    entries = math.ceil(math.log2(VERTICES_PER_TEXEL * texels))
+    entries = field.log2_table_size or min(max(entries, FEWEST_ENTRIES), MOST_ENTRIES)
+    cell = settings.occupancy.cell or max((float(sides.prod()) / OCCUPANCY_CELLS) ** (1 / 3), longest / finest)
+    crossed = math.ceil(CANDIDATES_PER_CELL * scene.chord / cell)
+    candidates = settings.march.candidates or min(max(crossed, FEWEST_CANDIDATES), MOST_CANDIDATES)
     reason = (
-        f"capacity: pixels cover {scene.footprint:.3g} m at {scene.distance:.3g} m and could be {scene.enlargement} x "
-        f"larger, about {texels:.2g} of them show surface: {levels} levels to {finest} cells along {longest:.3g} m, "
-        f"2^{entries} entries, occupancy cells of {occupied:.2g} m, {candidates} candidates a ray"
+        f"capacity: pixels cover {scene.footprint:.3g} m of places about {scene.distance:.3g} m away, could be "
+        f"{scene.enlargement} x larger, and about {texels:.2g} of them show surface: {levels} levels, "
+        f"{finest} cells along {longest:.3g} m, 2^{entries} entries a level; occupancy cells of {cell:.2g} m, "
+        f"{candidates} candidates a ray"
     )
-    return Capacity(
-        replace(field, levels=levels, finest_resolution=finest, base_resolution=base, log2_table_size=entries),
-        replace(occupancy, cell=occupied),
-        replace(march, candidates=candidates, even_distance=even),
-        reason,
-    )
+    return replace(
+        settings,
+        field=replace(field, levels=levels, finest_resolution=finest, base_resolution=base, log2_table_size=entries),
+        occupancy=replace(settings.occupancy, cell=cell),
+        march=replace(
+            settings.march, candidates=candidates, even_distance=settings.march.even_distance or scene.distance
+        ),
+    ), reason
+
+
+def filled_from(settings: Settings, stored: Mapping[str, Mapping]) -> Settings:
+    """Returns settings with what they leave open taken from stored ones: those that a field was trained with."""
+    parts = {}
+    for part, names in OPEN.items():
+        own = getattr(settings, part)
+        left = [name for name in names if not getattr(own, name)]
+        if "finest_resolution" in left:
+            left.append("base_resolution")  # derived along with it
+        parts[part] = replace(own, **{name: stored[part][name] for name in left})
+    return replace(settings, **parts)
 
 
 def enlargement(images: UInt8[Tensor, "n h w 3"]) -> int:

@@ -110,9 +110,7 @@ class Field(nn.Module):
     def __init__(self, config: FieldConfig, scene_box: Float[Tensor, "2 3"], condition_size: int = 0):
         super().__init__()
         if not (config.levels and config.log2_table_size and config.finest_resolution):
-            raise ValueError(
-                "the field's levels, log2_table_size or finest_resolution is 0: call choose_capacity first"
-            )
+            raise ValueError("the field's levels, log2_table_size or finest_resolution is 0: use fitted_to_scene first")
         self.config, self.condition_size = config, condition_size
         self.hash_grid = HashGrid(
             scene_box.float(),

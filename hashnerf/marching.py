@@ -75,7 +75,7 @@ def intervals(
 ) -> tuple[Float[Tensor, "rays candidates"], Float[Tensor, "rays candidates"]]:
     """Return start and length (m) of the intervals between near and far; ValueError for settings that are left open."""
     if not settings.candidates or not settings.even_distance:
-        raise ValueError("march.candidates and march.even_distance are 0: fill them in by choose_capacity first")
+        raise ValueError("march.candidates and march.even_distance are 0: use fitted_to_scene first")
     steps = torch.arange(settings.candidates, device=near.device, dtype=near.dtype)
     near, scale = near[:, None], (near + settings.even_distance)[:, None]
     # log1p and expm1 of small numbers, not differences of log and exp: short intervals would drown in rounding

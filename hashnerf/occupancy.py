@@ -64,7 +64,7 @@ class OccupancyGrid(nn.Module):
     def __init__(self, config: OccupancyConfig, box: Float[Tensor, "2 3"]):
         super().__init__()
         if not config.cell:
-            raise ValueError("occupancy.cell is 0: fill it in by choose_capacity first")
+            raise ValueError("occupancy.cell is 0: use fitted_to_scene first")
         self.config = config
         extent = (box[1] - box[0]).double()
         self.shape = tuple(max(1, math.ceil(side / config.cell - 1e-6)) for side in extent.tolist())

@@ -1,7 +1,7 @@
 """A radiance field of posed photographs and nothing else: no roads, no latents, no motion.
 
-runs/<name>/{config.yaml, field/, reconstruction.json, held_out.png}. Capacity that the config leaves open (0) is derived
-from the pictures (`hashnerf.capacity`) and stored with the run, so that a trained field loads without them.
+runs/<name>/{config.yaml, field/, reconstruction.json, held_out.png}. Capacity that the config leaves open (0) is
+derived from the pictures (`hashnerf.capacity`) and stored in the run's config.
 """
 
 import json
@@ -15,7 +15,7 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor, nn
 
-from hashnerf.capacity import choose_capacity
+from hashnerf.capacity import fitted_to_scene
 from hashnerf.command_line import plain_config, save_config, set_threads
 from hashnerf.errors import UserError
 from hashnerf.field import Field, FieldConfig
@@ -138,14 +138,6 @@ def load_scene(config: StaticConfig) -> PosedImages:
     return data
 
 
-def with_capacity(config: StaticConfig, train: PosedImages) -> tuple[StaticConfig, str]:
-    """Returns the config with what it left open filled in from the training pictures, and one line that says why."""
-    chosen = choose_capacity(
-        train.images, train.cameras, train.scene_box, config.field, config.occupancy, config.march
-    )
-    return replace(config, field=chosen.field, occupancy=chosen.occupancy, march=chosen.march), chosen.reason
-
-
 def train_static(config: StaticConfig) -> dict:
     """Trains on a data set, or continues, and measures on the pictures held out; returns what it found.
 
@@ -153,7 +145,7 @@ def train_static(config: StaticConfig) -> dict:
     """
     data = load_scene(config)
     train, test = data.split("train"), data.split("test")
-    full, reason = with_capacity(config, train)
+    full, reason = fitted_to_scene(config, train.images, train.cameras, data.scene_box)
     say(reason)
     torch.manual_seed(config.seed)
     nerf = StaticNerf(full, data.scene_box)
@@ -196,7 +188,9 @@ def fit_static(config: StaticConfig, nerf: StaticNerf, train: PosedImages) -> No
 
 def held_out_psnr(nerf: StaticNerf, test: PosedImages) -> float:
     """Returns the mean PSNR (dB) over pictures that were held out."""
-    return float(np.mean([psnr(nerf.picture(test, index), test.images[index].float() / 255) for index in range(len(test))]))
+    return float(
+        np.mean([psnr(nerf.picture(test, index), test.images[index].float() / 255) for index in range(len(test))])
+    )
 
 
 def one_colour_psnr(train: PosedImages, test: PosedImages) -> float:

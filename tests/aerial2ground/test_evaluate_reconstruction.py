@@ -16,7 +16,6 @@ from aerial2ground.evaluate_reconstruction import (
     aligned_poses,
     evaluate_run,
     ground_errors,
-    one_colour_psnr,
     refined_pose_errors,
     true_poses,
     view_milliseconds,
@@ -30,14 +29,6 @@ from worlds.scenarios import world_from_description
 def trained(tiny_run):
     survey = load_survey(tiny_run)
     return tiny_run, survey, load_nerf(tiny_run, survey)[0]
-
-
-def test_one_colour_by_hand(tiny_run):
-    two = load_survey(tiny_run).train.select([0, 1])
-    dark = replace(two, images=torch.zeros(2, 4, 4, 3, dtype=torch.uint8))
-    grey = replace(two, images=torch.full((2, 4, 4, 3), 51, dtype=torch.uint8))
-    # black against 51 / 255 = 0.2: a squared error of 0.04, 10 log10(1 / 0.04) dB
-    assert one_colour_psnr(grey, dark) == pytest.approx(13.979, abs=1e-3)
 
 
 def test_poses_of_held_out_pictures_are_found_again(trained):

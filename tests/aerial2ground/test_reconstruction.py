@@ -7,31 +7,10 @@ import pytest
 import torch
 
 from aerial2ground.pose_refinement import PoseCorrections
-from aerial2ground.reconstruction import PictureRays, ReconstructionConfig, local_directions
+from aerial2ground.reconstruction import ReconstructionConfig
 from aerial2ground.stages import load_nerf, load_survey, new_nerf, run_reconstruction
-from hashnerf.cameras import camera_rays
 from hashnerf.errors import UserError
-
-
-def test_rays_equal_those_of_the_cameras(tiny_run):
-    data = load_survey(tiny_run).train
-    pictures = PictureRays.of(data)
-    number, pixel = pictures.draw(500, torch.Generator().manual_seed(0))
-    rays, colour = pictures.rays(number, pixel, None)
-    row, column = pixel // data.cameras.width, pixel % data.cameras.width
-    expected = camera_rays(data.cameras, number, torch.stack([column, row], dim=1) + 0.5)
-    assert torch.allclose(rays.directions, expected.directions, atol=1e-5)
-    assert torch.equal(rays.origins, expected.origins)
-    assert torch.equal(colour, data.images[number, row, column].float() / 255)
-
-
-def test_lenses_may_differ(tiny_run):
-    data = load_survey(tiny_run).train
-    focal = data.cameras.focal * torch.linspace(1, 1.2, len(data))[:, None]
-    data = replace(data, cameras=replace(data.cameras, focal=focal))
-    pictures = PictureRays.of(data)
-    assert len(pictures.local) == len(data) and not torch.allclose(pictures.local[0], pictures.local[-1])
-    assert torch.allclose(pictures.local[3], local_directions(data.cameras, 3))
+from hashnerf.picture_rays import PictureRays
 
 
 def test_corrected_poses_move_the_rays_and_have_gradients(tiny_run):

@@ -14,6 +14,7 @@ from aerial2ground.ground_views import load_views
 from aerial2ground.learning_stages import run_drives, run_localisers, run_policies
 from aerial2ground.pure_pursuit import PurePursuitConfig
 from aerial2ground.stages import (
+    load_nerf,
     load_survey,
     run_ground_views,
     run_reconstruction,
@@ -155,3 +156,22 @@ def test_two_road_networks_are_one_too_many(tiny_run):
 def test_a_path_shorter_than_the_look_ahead(tiny_run):
     with pytest.raises(UserError, match=r"shorter than pure_pursuit\.look_ahead"):
         load_survey(replace(tiny_run, pure_pursuit=PurePursuitConfig(look_ahead=50.0)))
+
+
+def test_capacity_that_is_left_open_is_derived_once_and_found_again(tiny_run, capsys):
+    own = tiny_run.reconstruction
+    opened = replace(
+        own,
+        steps=2,
+        field=replace(own.field, levels=0, log2_table_size=0, finest_resolution=0),
+        occupancy=replace(own.occupancy, cell=0.0),
+    )
+    config = replace(tiny_run, name="opened", reconstruction=opened)
+    run_reconstruction(config)
+    assert "capacity: pixels cover" in capsys.readouterr().err
+    survey = load_survey(config)
+    nerf, _ = load_nerf(config, survey)
+    chosen = nerf.config
+    assert chosen.field.levels > 0 and chosen.occupancy.cell > 0 and chosen.march == own.march
+    assert len(nerf.field.hash_grid.plan) == chosen.field.levels
+    run_reconstruction(config)  # the same again is no other config

@@ -137,3 +137,14 @@ def test_other_data_than_the_run_learned_is_refused(tiny_evaluation, monkeypatch
     monkeypatch.setattr(evaluation_data, "load_posed_images", lambda folder, size: small)
     with pytest.raises(UserError, match=r"image_size.*32 x 32 pixels, not 16 x 16"):
         load_evaluation_data(tiny_evaluation.config)
+
+
+def test_capacity_that_was_derived_when_training_is_no_other_setting(tiny_evaluation, monkeypatch):
+    monkeypatch.setattr(evaluation_data, "load_carff", lambda folder: tiny_evaluation.model)
+    monkeypatch.setattr(evaluation_data, "load_posed_images", lambda folder, size: tiny_evaluation.data)
+    nerf = tiny_evaluation.config.nerf
+    opened = replace(nerf, field=replace(nerf.field, levels=0, log2_table_size=0))
+    assert load_evaluation_data(replace(tiny_evaluation.config, nerf=opened)).config.nerf == nerf
+    stated = replace(nerf, field=replace(nerf.field, levels=0, log2_table_size=5))
+    with pytest.raises(UserError, match="log2_table_size"):
+        load_evaluation_data(replace(tiny_evaluation.config, nerf=stated))

@@ -12,9 +12,10 @@ from carff.nerf import NerfConfig
 from carff.nerf_training import training_views
 from carff.pcvae import PcvaeConfig
 from carff.scene_info import scene_info
-from carff.stages import device_of, encode_views, new_pcvae, run_mdn, run_nerf, settled
+from carff.stages import device_of, encode_views, new_pcvae, run_mdn, run_nerf, settled, with_capacity
 from hashnerf.command_line import save_config
 from hashnerf.errors import UserError
+from hashnerf.field import FieldConfig
 from hashnerf.fit import FitConfig
 from hashnerf.marching import MarchSettings
 
@@ -75,3 +76,11 @@ def test_a_trained_field_goes_on_gently():
     assert further.fit.network_learning_rate == pytest.approx(0.002)
     assert further.fit.first_samples_per_opacity == 12.0 and further.fit.seed == 4
     assert further.fresh_share(0) == 1.0 and further.field == config.field
+
+
+def test_capacity_that_is_left_open_is_derived_and_stated_capacity_stays(tiny_data, capsys):
+    opened = FieldConfig(levels=0, log2_table_size=0, finest_resolution=0)
+    config = with_capacity(CarffConfig(nerf=NerfConfig(field=opened)), tiny_data)
+    assert config.nerf.field.levels > 0 and config.nerf.march == NerfConfig().march
+    assert f"{config.nerf.field.levels} levels" in capsys.readouterr().err
+    assert with_capacity(config, tiny_data) is config
