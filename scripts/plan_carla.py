@@ -16,6 +16,7 @@ from typing import Literal
 from carff.carla_client import CarlaConfig, watch
 from carff.closed_loop import drive_run
 from carff.config import CarffConfig
+from carff.decision_budget import samples_within
 from carff.driving import DrivingConfig
 from carff.model import load_carff
 from carff.planning_metrics import approach_results, closed_loop_results
@@ -34,6 +35,8 @@ class PlanConfig(CarffConfig):
     """`embedded`: the world the data set comes from; `carla`: a running CARLA server."""
     samples: int = 10
     """Sampled futures per decision."""
+    max_ms: float = 0.0
+    """Takes as many futures as this many milliseconds a decision allow here, in place of `samples`; 0: no limit."""
     workers: int = 0
     """Processes that render; 0 uses all cores."""
     driving: DrivingConfig = field(default_factory=DrivingConfig)
@@ -49,6 +52,8 @@ class PlanConfig(CarffConfig):
         super().__post_init__()
         if self.samples < 1:
             raise UserError(f"samples is {self.samples}; give at least 1 sampled future per decision")
+        if self.max_ms < 0:
+            raise UserError(f"max_ms is {self.max_ms:g}; give milliseconds, or 0 for no limit")
 
 
 def main() -> None:
@@ -56,13 +61,17 @@ def main() -> None:
     config = parse_config(PlanConfig, description="Drive a trained run in closed loop.")
     set_threads(config.threads)
     folder = Path(config.run) if config.run else config.folder
+    samples = config.samples
+    if config.max_ms:
+        samples, reason = samples_within(load_carff(folder), config.max_ms)
+        print(reason)
     if config.world == "carla":
-        decisions = watch(load_carff(folder), config.host, config.port, config.carla, config.samples, config.seed)
+        decisions = watch(load_carff(folder), config.host, config.port, config.carla, samples, config.seed)
         for number, one in enumerate(decisions):
             print(f"{number:4d}  {'go' if one.go else 'stop':4s}  hazard probability {one.hazard_probability:.2f}")
         return
     episodes = config.evaluation.episodes
-    driven = drive_run(folder, episodes, config.samples, config.driving, config.seed, config.workers)
+    driven = drive_run(folder, episodes, samples, config.driving, config.seed, config.workers)
     if driven.reason:
         print(f"not driven: {driven.reason}")
         return

@@ -1,0 +1,29 @@
+"""How many futures a decision may sample within a time limit, on this machine, with this run."""
+
+from collections.abc import Mapping
+
+import torch
+
+from carff.decisions import decide_from_pictures
+from carff.model import CarffModel
+from hashnerf.budget import best_within, p95_ms
+
+SAMPLES: Mapping[str, int] = {"fast": 5, "balanced": 10, "accurate": 35}
+"""Sampled futures of the presets (docs/results/speed_accuracy.md, decisions)."""
+CALLS = 40
+
+
+def samples_within(model: CarffModel, max_ms: float, presets: Mapping[str, int] = SAMPLES) -> tuple[int, str]:
+    """Returns how many futures the best preset samples whose decisions stay below a limit (ms), and why in one line.
+
+    A decision is everything from a picture to go or stop; 95 % of them count. Raises UserError where no preset fits.
+    """
+    cameras = model.scene.cameras
+    generator = torch.Generator().manual_seed(0)
+    picture = torch.randint(256, (1, cameras.height, cameras.width, 3), generator=generator, dtype=torch.uint8)
+    costs = {
+        name: p95_ms(lambda n=samples: decide_from_pictures(model, picture, model.config.planner, n, generator), CALLS)
+        for name, samples in presets.items()
+    }
+    name, reason = best_within(costs, max_ms, "max_ms", "ms")
+    return presets[name], f"{reason}: {presets[name]} sampled futures"
