@@ -7,14 +7,15 @@ import torch
 from carff.decisions import decide_from_pictures
 from carff.model import CarffModel
 from hashnerf.budget import best_within, p95_ms
+from hashnerf.progress import say
 
 SAMPLES: Mapping[str, int] = {"fast": 5, "balanced": 10, "accurate": 35}
 """Sampled futures of the presets (docs/results/speed_accuracy.md, decisions)."""
 CALLS = 40
 
 
-def samples_within(model: CarffModel, max_ms: float, presets: Mapping[str, int] = SAMPLES) -> tuple[int, str]:
-    """Returns how many futures the best preset samples whose decisions stay below a limit (ms), and why in one line.
+def samples_within(model: CarffModel, max_ms: float, presets: Mapping[str, int] = SAMPLES) -> int:
+    """Returns how many futures the best preset samples whose decisions stay below a limit (ms), and says why.
 
     A decision is everything from a picture to go or stop; 95 % of them count. Raises UserError where no preset fits.
     """
@@ -26,4 +27,5 @@ def samples_within(model: CarffModel, max_ms: float, presets: Mapping[str, int] 
         for name, samples in presets.items()
     }
     name, reason = best_within(costs, max_ms, "max_ms", "ms")
-    return presets[name], f"{reason}: {presets[name]} sampled futures"
+    say(f"{reason}: {presets[name]} sampled futures")
+    return presets[name]

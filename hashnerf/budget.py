@@ -12,7 +12,7 @@ MARGIN = 1.3
 
 
 def best_within(costs: Mapping[str, float], budget: float, key: str, unit: str) -> tuple[str, str]:
-    """Returns the last of the presets, named from the least to the most accurate, that fits, and one line that says why.
+    """Returns the last of the presets (from the least to the most accurate) that fits, and one line that says why.
 
     `costs` are as expected, in the budget's unit; `key` is the setting that gave the budget. Raises UserError where not
     even the cheapest fits.

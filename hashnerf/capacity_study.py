@@ -3,8 +3,9 @@ pictures ask for and with the usual fixed one, in equal steps.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from hashnerf.errors import UserError
 from hashnerf.pipeline import run_stage
 from hashnerf.report_tables import Table
+from hashnerf.results_page import table_lines
 from hashnerf.training_run import METRICS
 from hashnerf.transforms_json import read_transforms
 
@@ -112,7 +114,7 @@ def read_fit(folder: Path, steps: int) -> Fit:
     late = [line for line in lines if line["step"] >= SETTLED * steps] or lines
     pace = [
         1000 * (after["seconds"] - before["seconds"]) / (after["step"] - before["step"])
-        for before, after in zip(late, late[1:])
+        for before, after in pairwise(late)
     ]
     step_ms = float(np.median(pace)) if pace else float("nan")
     return Fit(
@@ -156,22 +158,24 @@ def empty_share(found: Mapping[str, Mapping[str, Fit]]) -> float:
     return empty / full
 
 
-def page_lines(found: Mapping[str, Mapping[str, Fit]], steps: int, about: str, table: Sequence[str]) -> list[str]:
-    """Returns the lines of the page."""
-    share = empty_share(found)
-    samples = found["empty sky"]["chosen"].samples
+def write_study(found: Mapping[str, Mapping[str, Fit]], config: CapacityStudy, about: str) -> None:
+    """Writes the page; `about` says what produced it."""
+    share, samples = empty_share(found), found["empty sky"]["chosen"].samples
     verdict = "met" if share <= 0.05 and samples == 0 else "**missed**"
-    return [
+    lines = [
         "# Only what the scene requires",
         "",
         about,
         "",
-        f"Every scene is fitted in {steps} steps twice: with the capacity that `hashnerf/capacity.py` derives from the "
-        "pictures, and with 16 levels of 2^19 entries up to 2,048 cells (Instant-NGP's for every scene); all else is "
-        "equal, and derived, too. PSNR is the mean over held-out pictures, seconds are those of training.",
+        f"Every scene is fitted in {config.steps} steps twice: with the capacity that `hashnerf/capacity.py` derives "
+        "from the pictures, and with 16 levels of 2^19 entries up to 2,048 cells (Instant-NGP's for every scene); all "
+        "else is equal, and derived, too. PSNR is the mean over held-out pictures, seconds are those of training.",
         "",
-        *table,
+        *table_lines(study_table(found)),
         "",
         f"A late step in the empty sky takes {100 * share:.1f} % of one in the mini-city and {samples} samples "
-        f"({verdict}, target ≤ 5 % and none).",
+        f"({verdict}, target at most 5 %, and none).",
     ]
+    page = Path(config.page)
+    page.parent.mkdir(parents=True, exist_ok=True)
+    page.write_text("\n".join(lines) + "\n", encoding="utf-8")

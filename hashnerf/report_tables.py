@@ -17,6 +17,13 @@ class Table:
     note: str = ""
 
 
+def text_lines(table: "Table") -> list[str]:
+    """Returns the lines of a table for a terminal, columns aligned."""
+    widths = [max(map(len, column)) for column in zip(table.header, *table.rows)]
+    rows = (table.header, *table.rows)
+    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in rows]
+
+
 def number(value: float | int | None, unit: str = "", digits: int | None = None) -> str:
     """A number with its unit; `%` and `points` are stored as shares, `min` as seconds."""
     if value is None:

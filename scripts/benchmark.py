@@ -4,6 +4,7 @@ python scripts/benchmark.py encoding                 # the hash-grid encoding be
 python scripts/benchmark.py encoding --device cuda
 python scripts/benchmark.py tradeoff                 # speed against accuracy: docs/results/speed_accuracy.md
 python scripts/benchmark.py tradeoff --sweeps '[field]' --most 2
+python scripts/benchmark.py capacity --photographs FOLDER    # what derived capacity is worth: docs/results/capacity.md
 """
 
 import shlex
@@ -11,6 +12,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from hashnerf.capacity_study import CapacityStudy, run_study, write_study
 from hashnerf.command_line import parse_config, run_main, set_threads
 from hashnerf.encoding_benchmark import EncodingBenchmark, encoding_table, time_encodings
 from hashnerf.errors import UserError
@@ -38,7 +40,18 @@ def tradeoff(arguments: list[str]) -> int:
     return 1 if failed else 0
 
 
-BENCHMARKS: dict[str, Callable[[list[str]], int | None]] = {"encoding": encoding, "tradeoff": tradeoff}
+def capacity(arguments: list[str]) -> None:
+    """Fit five scenes with derived and with fixed capacity and write the page."""
+    config = parse_config(CapacityStudy, arguments, description="Measure what derived capacity is worth.")
+    command = shlex.join(["python", "scripts/benchmark.py", "capacity", *arguments])
+    write_study(run_study(config), config, f"`{command}`; seed 0; {machine()}; {commit()}.")
+
+
+BENCHMARKS: dict[str, Callable[[list[str]], int | None]] = {
+    "encoding": encoding,
+    "tradeoff": tradeoff,
+    "capacity": capacity,
+}
 
 
 def main() -> int | None:

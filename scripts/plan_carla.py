@@ -23,6 +23,7 @@ from carff.planning_metrics import approach_results, closed_loop_results
 from carff.report_tables import drive_tables
 from hashnerf.command_line import parse_config, run_main, set_threads
 from hashnerf.errors import UserError
+from hashnerf.report_tables import text_lines
 
 
 @dataclass(frozen=True)
@@ -52,8 +53,6 @@ class PlanConfig(CarffConfig):
         super().__post_init__()
         if self.samples < 1:
             raise UserError(f"samples is {self.samples}; give at least 1 sampled future per decision")
-        if self.max_ms < 0:
-            raise UserError(f"max_ms is {self.max_ms:g}; give milliseconds, or 0 for no limit")
 
 
 def main() -> None:
@@ -61,10 +60,7 @@ def main() -> None:
     config = parse_config(PlanConfig, description="Drive a trained run in closed loop.")
     set_threads(config.threads)
     folder = Path(config.run) if config.run else config.folder
-    samples = config.samples
-    if config.max_ms:
-        samples, reason = samples_within(load_carff(folder), config.max_ms)
-        print(reason)
+    samples = samples_within(load_carff(folder), config.max_ms) if config.max_ms else config.samples
     if config.world == "carla":
         decisions = watch(load_carff(folder), config.host, config.port, config.carla, samples, config.seed)
         for number, one in enumerate(decisions):
@@ -77,10 +73,7 @@ def main() -> None:
         return
     results = {"closed_loop": closed_loop_results(driven.episodes), "approach": approach_results(driven.approach)}
     for table in drive_tables(results):
-        widths = [max(map(len, column)) for column in zip(table.header, *table.rows)]
-        for row in (table.header, *table.rows):
-            print("  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip())
-        print()
+        print("\n".join([*text_lines(table), ""]))
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from hashnerf.report_tables import number, number_beside
+from hashnerf.report_tables import Table, number, number_beside, text_lines
 
 
 @pytest.mark.parametrize(
@@ -43,3 +43,11 @@ def test_numbers_are_written_for_people(value, unit, text):
 )
 def test_what_missed_its_limit_by_little_does_not_read_like_it(value, limit, unit, text):
     assert number_beside(value, limit, unit) == text
+
+
+def test_a_table_for_a_terminal_has_aligned_columns():
+    assert text_lines(Table(("a", "long name"), (("1.5 m", "x"), ("2", "y")))) == [
+        "a      long name",
+        "1.5 m  x",
+        "2      y",
+    ]

@@ -1,0 +1,34 @@
+"""How many futures a time limit allows."""
+
+import pytest
+
+from carff import decision_budget
+from carff.decision_budget import samples_within
+from hashnerf.errors import UserError
+
+
+def test_as_many_futures_as_fit(tiny_evaluation, monkeypatch, capsys):
+    asked = []
+
+    def decide(model, pictures, planner, n, generator):
+        asked.append((n, tuple(pictures.shape)))
+
+    def p95(function, calls):
+        function()
+        return 2.0 * asked[-1][0]  # 2 ms a future
+
+    monkeypatch.setattr(decision_budget, "decide_from_pictures", decide)
+    monkeypatch.setattr(decision_budget, "p95_ms", p95)
+    model = tiny_evaluation.model
+    assert samples_within(model, 30.0) == 10
+    assert "takes balanced" in (said := capsys.readouterr().err) and "10 sampled futures" in said
+    cameras = model.scene.cameras
+    assert asked == [(n, (1, cameras.height, cameras.width, 3)) for n in (5, 10, 35)]
+    assert samples_within(model, 1000.0) == 35
+    with pytest.raises(UserError, match="max_ms is 5: no preset fits"):
+        samples_within(model, 5.0)
+
+
+def test_real_decisions_are_timed(tiny_evaluation, monkeypatch):
+    monkeypatch.setattr(decision_budget, "CALLS", 2)
+    assert samples_within(tiny_evaluation.model, 1e6, {"few": 2, "more": 3}) == 3
