@@ -5,6 +5,7 @@ python scripts/benchmark.py encoding --device cuda
 python scripts/benchmark.py tradeoff                 # speed against accuracy: docs/results/speed_accuracy.md
 python scripts/benchmark.py tradeoff --sweeps '[field]' --most 2
 python scripts/benchmark.py capacity --photographs FOLDER    # what derived capacity is worth: docs/results/capacity.md
+python scripts/benchmark.py photographs --data FOLDER        # quality against seconds: docs/results/photographs.md
 """
 
 import shlex
@@ -12,10 +13,12 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from hashnerf.capacity_study import CapacityStudy, run_study, write_study
+from hashnerf import capacity_study, photograph_study
+from hashnerf.capacity_study import CapacityStudy
 from hashnerf.command_line import parse_config, run_main, set_threads
 from hashnerf.encoding_benchmark import EncodingBenchmark, encoding_table, time_encodings
 from hashnerf.errors import UserError
+from hashnerf.photograph_study import PhotographStudy
 from hashnerf.results_page import table_lines
 from hashnerf.run_info import commit, machine
 from hashnerf.tradeoff import Tradeoff, run_tradeoff
@@ -40,17 +43,31 @@ def tradeoff(arguments: list[str]) -> int:
     return 1 if failed else 0
 
 
+def about(name: str, arguments: list[str]) -> str:
+    """What the head of a page says of where its figures come from."""
+    return f"`{shlex.join(['python', 'scripts/benchmark.py', name, *arguments])}`; seed 0; {machine()}; {commit()}."
+
+
 def capacity(arguments: list[str]) -> None:
     """Fit five scenes with derived and with fixed capacity and write the page."""
     config = parse_config(CapacityStudy, arguments, description="Measure what derived capacity is worth.")
-    command = shlex.join(["python", "scripts/benchmark.py", "capacity", *arguments])
-    write_study(run_study(config), config, f"`{command}`; seed 0; {machine()}; {commit()}.")
+    capacity_study.write_study(capacity_study.run_study(config), config, about("capacity", arguments))
+
+
+def photographs(arguments: list[str]) -> None:
+    """Fit real photographs at several sizes and lengths and write the page."""
+    config = parse_config(PhotographStudy, arguments, description="Measure quality against seconds on photographs.")
+    command = shlex.join(["python", "scripts/benchmark.py", "photographs", *arguments])
+    photograph_study.write_study(
+        photograph_study.run_study(config), config, f"`{command}`; seed 0; {machine()}; {commit()}."
+    )
 
 
 BENCHMARKS: dict[str, Callable[[list[str]], int | None]] = {
     "encoding": encoding,
     "tradeoff": tradeoff,
     "capacity": capacity,
+    "photographs": photographs,
 }
 
 
