@@ -11,6 +11,7 @@ python scripts/benchmark.py photographs --data FOLDER        # quality against s
 import shlex
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from hashnerf import capacity_study, photograph_study
@@ -43,31 +44,22 @@ def tradeoff(arguments: list[str]) -> int:
     return 1 if failed else 0
 
 
-def about(name: str, arguments: list[str]) -> str:
-    """What the head of a page says of where its figures come from."""
-    return f"`{shlex.join(['python', 'scripts/benchmark.py', name, *arguments])}`; seed 0; {machine()}; {commit()}."
+def study(name: str, arguments: list[str]) -> None:
+    """Run the study of that name and write its page."""
+    config_class, part, description = STUDIES[name]
+    config = parse_config(config_class, arguments, description=description)
+    command = shlex.join(["python", "scripts/benchmark.py", name, *arguments])
+    part.write_study(part.run_study(config), config, f"`{command}`; seed 0; {machine()}; {commit()}.")
 
 
-def capacity(arguments: list[str]) -> None:
-    """Fit five scenes with derived and with fixed capacity and write the page."""
-    config = parse_config(CapacityStudy, arguments, description="Measure what derived capacity is worth.")
-    capacity_study.write_study(capacity_study.run_study(config), config, about("capacity", arguments))
-
-
-def photographs(arguments: list[str]) -> None:
-    """Fit real photographs at several sizes and lengths and write the page."""
-    config = parse_config(PhotographStudy, arguments, description="Measure quality against seconds on photographs.")
-    command = shlex.join(["python", "scripts/benchmark.py", "photographs", *arguments])
-    photograph_study.write_study(
-        photograph_study.run_study(config), config, f"`{command}`; seed 0; {machine()}; {commit()}."
-    )
-
-
+STUDIES = {
+    "capacity": (CapacityStudy, capacity_study, "Measure what derived capacity is worth."),
+    "photographs": (PhotographStudy, photograph_study, "Measure quality against seconds on real photographs."),
+}
 BENCHMARKS: dict[str, Callable[[list[str]], int | None]] = {
     "encoding": encoding,
     "tradeoff": tradeoff,
-    "capacity": capacity,
-    "photographs": photographs,
+    **{name: partial(study, name) for name in STUDIES},
 }
 
 
