@@ -4,13 +4,14 @@ Real cameras change their exposure. What modelling that for every picture could 
 photograph the best gain per colour channel, which no model could know without seeing it (`best_exposure_psnr`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 from matplotlib.figure import Figure
+from torch import Tensor
 
 from hashnerf.command_line import load_config
 from hashnerf.errors import UserError
@@ -97,17 +98,20 @@ def read_point(folder: Path) -> Point:
         cost["peak_memory_mb"],
         results["psnr_db"],
         results["psnr_one_colour_db"],
-        best_exposure_psnr(nerf, data.split("test")),
+        best_exposure_psnr(nerf.picture, data.split("test")),
         results["capacity"],
     )
 
 
 @torch.no_grad()
-def best_exposure_psnr(nerf: StaticNerf, test: PosedImages) -> float:
-    """Returns the mean PSNR (dB) of renderings after the least-squares gain per channel to each held-out picture."""
+def best_exposure_psnr(picture: Callable[[PosedImages, int], Tensor], test: PosedImages) -> float:
+    """Returns the mean PSNR (dB) of renderings after the least-squares gain per channel to each held-out picture.
+
+    `picture` renders [h, w, 3] what a camera of a data set sees.
+    """
     values = []
-    for index, picture in enumerate(test.images):
-        seen, true = nerf.picture(test, index), picture.float() / 255
+    for index, photograph in enumerate(test.images):
+        seen, true = picture(test, index), photograph.float() / 255
         gain = (seen * true).sum(dim=(0, 1)) / seen.square().sum(dim=(0, 1)).clamp(min=1e-12)
         values.append(psnr(seen * gain, true))
     return float(np.mean(values))
@@ -149,11 +153,11 @@ def exposure_words(points: list[Point]) -> str:
     """Says whether modelling the exposure of every picture can pay."""
     most = max(point.exposure_db - point.psnr_db for point in points)
     said = (
-        f"The best gain per channel for each held-out photograph, found with the photograph in hand, adds {most:.2f} dB"
+        f"The best gain for each held-out photograph and channel, found with the photograph in hand, adds {most:.2f} dB"
     )
     if most < WORTH_DB:
-        return f"{said} at most: exposure per picture is not modelled, as no model can reach that much on views it has not seen."
-    return f"{said} at most: modelling exposure per picture may pay."
+        return f"{said} at most: exposure is not modelled, as views that were not seen could not gain even that."
+    return f"{said} at most: modelling the exposure of every picture may pay."
 
 
 def write_study(points: list[Point], config: PhotographStudy, about: str) -> None:
