@@ -15,6 +15,7 @@ from aerial2ground.losses import LossName, answers_of, loss_of
 from aerial2ground.networks import NetworkConfig, PictureNetwork
 from hashnerf.errors import UserError
 from hashnerf.finite_steps import FiniteSteps
+from hashnerf.low_precision import without_autocast
 
 
 @dataclass(frozen=True)
@@ -121,6 +122,7 @@ def random_skies(count: int, height: int, generator: torch.Generator) -> Float[T
     return (top + (bottom - top) * share) * (1 - blue * (1 - 0.7 * share))
 
 
+@without_autocast
 def train_network(
     config: TaskConfig,
     pictures: UInt8[Tensor, "n h w c"],

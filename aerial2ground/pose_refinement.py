@@ -9,6 +9,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from hashnerf.low_precision import without_autocast
+
 ORIENTATION_SHARE = 0.01
 """Weight of the orientations beside the positions in a common motion."""
 
@@ -59,6 +61,7 @@ def rotation_matrix(vector: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 3"]:
     return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
 
 
+@without_autocast
 def rotation_angle(a: Float[Tensor, "n 3 3"], b: Float[Tensor, "n 3 3"]) -> Float[Tensor, " n"]:
     """Returns the angle between rotations, radians; exact for small angles, where an arc cosine is not."""
     between = a.transpose(1, 2) @ b

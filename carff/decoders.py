@@ -21,6 +21,7 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 
 from hashnerf.errors import UserError
+from hashnerf.low_precision import without_autocast
 
 SMALLEST_COMPONENT = 1e-4  # of a camera's largest, or of one pixel from black to white: far below one grey level
 
@@ -73,6 +74,7 @@ class ComponentsDecoder(nn.Module):
         )
 
     @torch.no_grad()
+    @without_autocast
     def fit_basis(self, pictures: UInt8[Tensor, "n h w 3"], view_index: Int[Tensor, "states cameras"]) -> None:
         """Computes each camera's mean and principal components; `view_index` holds picture rows, -1 where missing."""
         targets = torch.zeros(*view_index.shape, self.rank)

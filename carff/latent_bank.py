@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from carff.beliefs import Belief
+from hashnerf.low_precision import without_autocast
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,7 @@ class LatentBank:
         use_fresh = torch.rand(len(states), 1, generator=generator) < fresh_share
         return torch.where(use_fresh, fresh, self.fixed[view])
 
+    @without_autocast
     def state_beliefs(self) -> Belief:
         """Returns one Gaussian per state: the moments of the weighted mixture of its views' posteriors."""
         per_state = torch.zeros(self.states, len(self.state))

@@ -22,6 +22,7 @@ from carff.schedules import cosine_rate
 from carff.transitions import TransitionBatch, TransitionConfig, TransitionSampler
 from hashnerf.errors import UserError
 from hashnerf.finite_steps import FiniteSteps
+from hashnerf.low_precision import without_autocast
 from hashnerf.model_files import save_model
 from hashnerf.training_run import TrainingRun
 
@@ -87,6 +88,7 @@ def build_mdn(config: MdnConfig, latent_size: int) -> MDN:
     return MDN(latent_size, config.components, config.width, config.trunk_layers, config.head_layers)
 
 
+@without_autocast
 def train_mdn(
     config: MdnConfig, mdn: MDN, sampler: TransitionSampler, folder: Path, record: dict, overwrite: bool = False
 ) -> None:

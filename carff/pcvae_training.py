@@ -15,6 +15,7 @@ from carff.states import StateTable, ambiguous_groups, state_chances
 from carff.view_priority import ViewPriority
 from hashnerf.errors import UserError
 from hashnerf.finite_steps import FiniteSteps
+from hashnerf.low_precision import without_autocast
 from hashnerf.model_files import save_model
 from hashnerf.posed_images import PosedImages
 from hashnerf.training_run import TrainingRun
@@ -26,6 +27,7 @@ LOSS_SCALE = 1e3
 GRADIENT_LIMIT = 10.0
 
 
+@without_autocast
 def train_pcvae(
     config: PcvaeConfig,
     pcvae: Pcvae,

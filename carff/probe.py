@@ -22,6 +22,7 @@ from torch import Tensor
 
 from carff.states import ActorBox
 from hashnerf.errors import UserError
+from hashnerf.low_precision import without_autocast
 
 UNKNOWN = -1
 SMALLEST_WIDTH = 0.2  # a gap of a few per cent of opacity is noise of the field: its vote must stay weak
@@ -79,6 +80,7 @@ class Probe:
         """Returns every candidate's score for every latent."""
         return line_scores(box_thickness(self.candidates, latents, density_fn), self.gain)
 
+    @without_autocast
     def state_posterior(self, scores: Float[Tensor, "n boxes"]) -> Float[Tensor, "n states"]:
         """Returns the probability of each state given the scores, states equally likely beforehand."""
         # A logistic in the calibrated score: 4 widths from one end of the gap to the other.

@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from carff.model import CarffModel
+from hashnerf.low_precision import without_autocast
 
 RULED_OUT = 0.1
 DOUBT = 0.05
@@ -49,6 +50,7 @@ class StateMemory:
         self.belief = torch.full((len(transitions),), 1 / len(transitions))
         self.time: float | None = None
 
+    @without_autocast
     def rule_out(self, time: float, posterior: Float[Tensor, "n states"]) -> Bool[Tensor, " n"]:
         """Takes in the sampled readings of the picture at `time` (seconds); returns which of them cannot be."""
         reading = posterior.mean(dim=0)

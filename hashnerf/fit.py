@@ -27,6 +27,8 @@ from hashnerf.render import Rendering, render
 from hashnerf.training_run import TrainingRun
 from hashnerf.weight_average import WeightAverage
 
+EMPTY_TURNS = 16  # while the grid is empty one step in this many samples everywhere, so that the field can come back
+
 
 @dataclass(frozen=True)
 class FitConfig:
@@ -240,7 +242,9 @@ class FieldFit:
         for group in self.optimizer.param_groups:
             group["lr"] = group["start"] * self.config.final_share**progress
         self.optimizer.zero_grad()
-        loss, squared, samples = self.loss(batch, self.occupancy, self._march_settings(progress), generator)
+        empty = self.occupancy.is_empty()
+        occupancy = self.occupancy.unseen() if empty and step % EMPTY_TURNS == 0 else self.occupancy
+        loss, squared, samples = self.loss(batch, occupancy, self._march_settings(progress), generator)
         self.fabric.backward(loss)
         # of every group, also those beside the field: poses with a NaN would be lost as weights are
         learnt = [parameter for group in self.optimizer.param_groups for parameter in group["params"]]
@@ -252,7 +256,10 @@ class FieldFit:
             self.optimizer.step()
             self.average.update()
         a_ray = mean_samples / max(mean_rays, 1)
-        self.samples_per_ray = a_ray if not self.samples_per_ray else 0.8 * self.samples_per_ray + 0.2 * a_ray
+        if empty:
+            self.samples_per_ray = 0.0  # no sample to a ray asks for no more rays: as many as at the start
+        else:
+            self.samples_per_ray = a_ray if not self.samples_per_ray else 0.8 * self.samples_per_ray + 0.2 * a_ray
         return {
             "loss": mean_loss,
             "psnr": -10 * math.log10(max(mean_squared, 1e-12)) if math.isfinite(mean_squared) else math.nan,

@@ -1,11 +1,17 @@
-"""Where bfloat16 products pay: a processor without units for them emulates each, ten to twenty times slower.
+"""Where bfloat16 products pay, and where half precision must not come in.
 
-Processors with AVX-512 BF16 or AMX have such units (Intel from Cooper Lake and Sapphire Rapids on, AMD from Zen 4 on).
+A processor without units for bfloat16 emulates each product, ten to twenty times slower. Processors with AVX-512 BF16
+or AMX have such units (Intel from Cooper Lake and Sapphire Rapids on, AMD from Zen 4 on).
 """
 
 import functools
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
 
 import torch
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
 
 
 @functools.cache
@@ -16,3 +22,21 @@ def multiplies_bfloat16(device_type: str) -> bool:
     if device_type != "cpu":
         return False
     return torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported()
+
+
+def without_autocast(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Returns a function that computes in the precision of its arguments, whatever autocast around it asks for.
+
+    For geometry and likelihoods, whose products need all digits, and for whole trainings: autocast keeps its copies of
+    weights until the outermost one ends, so that every step after the first would answer with the first one's weights.
+    """
+
+    @functools.wraps(function)
+    def run(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
+        with torch.autocast("cpu", enabled=False):
+            if not torch.cuda.is_available():
+                return function(*arguments, **options)
+            with torch.autocast("cuda", enabled=False):
+                return function(*arguments, **options)
+
+    return run

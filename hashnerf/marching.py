@@ -99,6 +99,9 @@ def march(
     in front of a surface may not be there: a ray that skims a road passes over many cells that touch the asphalt. With
     `look_at_ends` a ray is looked at where it is known to end whatever is usual in front.
     """
+    if occupancy.is_empty():
+        nothing = rays.origins.new_zeros(len(rays), 0)
+        return Samples(nothing, nothing, nothing.bool())
     near, far, hit = intersect_box(rays.origins, rays.directions, occupancy.box, settings.near)
     start, dt = intervals(near, far, settings)
     # resampling draws again within each interval, so there the look-up needs no more than one number a ray

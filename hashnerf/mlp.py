@@ -111,6 +111,10 @@ class MLP(nn.Module):
         self, x: Float[Tensor, "n columns"], bank: Float[Tensor, "bank extra"] | None
     ) -> Float[Tensor, "bank_or_one n"]:
         """Return the first output for the rows of `x` beside each row of `bank`; what rows share is done once."""
+        with torch.autocast(x.device.type, enabled=False):  # as in forward: the bank shall agree with it
+            return self._first_output_bank(x, bank)
+
+    def _first_output_bank(self, x: Tensor, bank: Tensor | None) -> Tensor:
         first, *rest = (weight.to(self.dtype) for weight in self.weights)
         columns = x.shape[1]
         shared = x.to(self.dtype) @ first[:, :columns].t()

@@ -5,6 +5,10 @@ numbers a cell: `maximum` over a bank of conditions (a cell that is empty in eve
 the bank (a ray ends behind cells that are opaque in every condition) and `usual`, the mean over the cell in the
 emptiest condition (a guess at the light that is left behind it). The maximum rises at once and decays slowly; the
 minimum falls at once and rises slowly: both errors then cost time, not geometry.
+
+An empty scene costs nothing: where no cell is occupied no ray has a sample. Updates look at every cell whatever the
+rays do, so a field that becomes dense is found by the next full turn; but rays without samples teach a field nothing,
+so that training must sample everywhere now and then (see `unseen` and hashnerf/fit.py).
 """
 
 import logging
@@ -115,16 +119,25 @@ class OccupancyGrid(nn.Module):
         return highest, lowest, usual
 
     def occupied(self) -> Bool[Tensor, " cells"]:
-        """Which cells rays must sample: all during the warm-up, and all with a warning if nothing is left."""
+        """Which cells rays must sample: all during the warm-up, none in an empty scene, of which a warning tells."""
         occupied = self.maximum > self.config.threshold
         if int(self.updates) < self.config.warmup:
             return torch.ones_like(occupied)
         if not bool(occupied.any()):
+            if int(self.rejected):  # what was never a number was never seen to be empty: let the loss report it
+                return torch.ones_like(occupied)
             if not self.warned:
-                LOG.warning("the occupancy grid is empty: every cell is sampled until something becomes dense")
+                LOG.warning("the occupancy grid is empty: rays get no samples until an update finds something dense")
                 self.warned = True
-            return torch.ones_like(occupied)
         return occupied
+
+    def is_empty(self) -> bool:
+        """Whether there is no cell that rays must sample."""
+        return not bool(self.occupied().any())
+
+    def unseen(self) -> "OccupancyGrid":
+        """A grid of the same cells before its first update: rays sample it everywhere."""
+        return OccupancyGrid(self.config, self.box.cpu()).to(self.box.device)
 
     def densities(self) -> tuple[Float[Tensor, " cells"], Float[Tensor, " cells"], Float[Tensor, " cells"]]:
         """Densities of each cell (1/m): greatest over the bank (0 = skip, never 0 where occupied), smallest, usual."""

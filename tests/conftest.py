@@ -1,7 +1,7 @@
 """Every test runs on one thread and from the same seeds, so that a failure repeats; no test is judged by its speed."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
 import torch
@@ -12,6 +12,11 @@ from hashnerf.random_state import seed_everything
 torch.set_num_threads(1)
 settings.register_profile("house", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("house")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`--autocast bfloat16` or `--autocast float16` runs the numbered rows as a user's autocast would run the code."""
+    parser.addoption("--autocast", choices=("bfloat16", "float16"), help="run the numbered rows under autocast")
 
 
 @pytest.fixture(autouse=True)
@@ -25,6 +30,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "numeric_row" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.numeric)
+
+
+@pytest.fixture(autouse=True)
+def autocast(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Runs a numbered row under the autocast asked for: what must stay float32 stays so, whatever users put around."""
+    asked = request.config.getoption("autocast")
+    if not asked or not request.node.get_closest_marker("numeric"):
+        yield
+        return
+    # without the cache: rows train networks, and it would hand out copies of weights from before the first step
+    with torch.autocast("cpu", dtype=getattr(torch, asked), cache_enabled=False):
+        yield
 
 
 @pytest.fixture

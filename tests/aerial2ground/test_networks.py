@@ -5,6 +5,7 @@ import torch
 
 from aerial2ground.networks import NetworkConfig, PictureNetwork
 from hashnerf.errors import UserError
+from tests.hashnerf.numerics import LADDER, relative_error
 
 
 def test_five_convolutions_of_eight_filters_and_two_layers_of_64():
@@ -31,3 +32,18 @@ def test_depth_is_a_fourth_channel():
 def test_a_network_without_filters_is_refused():
     with pytest.raises(UserError, match=r"network\.filters is 0"):
         NetworkConfig(filters=0)
+
+
+def test_t01_precision_of_the_answer(numeric_row):
+    network = PictureNetwork(NetworkConfig(), 54, 96, 1).eval()
+    pictures = torch.rand(16, 3, 54, 96, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad(), torch.autocast("cpu", enabled=False):
+        answers = []
+        for dtype in LADDER:
+            with torch.autocast("cpu", dtype=dtype, enabled=dtype != torch.float32, cache_enabled=False):
+                answers.append(network(pictures))
+        exact = network.double()(pictures.double())
+    errors = [relative_error(answer, exact) for answer in answers]
+    for dtype, error, accepted in zip(LADDER, errors, (1e-5, 5e-3, 4e-2)):
+        numeric_row("T01", f"policy network, products in {dtype}: relative error of the answer", error, accepted)
+    assert errors == sorted(errors)

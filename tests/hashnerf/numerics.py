@@ -30,3 +30,30 @@ def finite_gradients(function: Callable[..., Tensor], *inputs: Tensor) -> tuple[
     for gradient in gradients:
         assert bool(gradient.isfinite().all()), "a gradient is not finite"
     return gradients
+
+
+LADDER = (torch.float32, torch.float16, torch.bfloat16)
+"""Number formats from the finest to the coarsest."""
+
+
+def relative_error(value: Tensor, reference: Tensor) -> float:
+    """Greatest deviation from a float64 reference, as a share of the reference's greatest magnitude."""
+    return float((value.double() - reference).abs().max() / reference.abs().max())
+
+
+def ladder_errors(function: Callable[..., Tensor], *inputs: Tensor) -> list[float]:
+    """Error of function(inputs) for inputs rounded to each format of LADDER, beside float64 with nothing rounded."""
+    with torch.autocast("cpu", enabled=False):
+        reference = function(*(value.double() for value in inputs))
+        return [relative_error(function(*(value.to(dtype) for value in inputs)), reference) for dtype in LADDER]
+
+
+def change_under_autocast(function: Callable[..., Tensor], *inputs: Tensor) -> float:
+    """Greatest change of function(inputs), in float32, when either half precision is asked for around it."""
+    with torch.autocast("cpu", enabled=False):
+        plain = function(*inputs)
+    changes = []
+    for dtype in LADDER[1:]:
+        with torch.autocast("cpu", dtype=dtype, cache_enabled=False):
+            changes.append(float((function(*inputs) - plain).abs().max()))
+    return max(changes)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hashnerf.compositing import composite_colour, expected_depth, median_depth, sample_weights
-from tests.hashnerf.numerics import finite_gradients
+from tests.hashnerf.numerics import LADDER, change_under_autocast, finite_gradients, ladder_errors
 
 HALVES = [torch.float16, torch.bfloat16]
 
@@ -195,6 +195,17 @@ def test_n27_autocast_changes_nothing(numeric_row):
     assert all(value.dtype == torch.float32 for value in cast)
     worst = torch.stack([(a - b).abs().max() for a, b in zip(plain, cast)]).max()
     numeric_row("N27", "weights, colour and depths: change under autocast", worst, 1e-6)
+
+
+def test_t01_composite(numeric_row):
+    inputs = torch.rand(64, 50) * 3, torch.rand(64, 50) / 10, torch.rand(64, 50, 3)
+
+    def colour(density, dt, rgb):
+        return composite_colour(sample_weights(density, dt)[0], rgb, torch.ones_like(rgb[:, 0]))
+
+    for dtype, error, accepted in zip(LADDER, ladder_errors(colour, *inputs), (1e-6, 1e-3, 8e-3)):
+        numeric_row("T01", f"composite, inputs in {dtype}: relative error of the colour", error, accepted)
+    numeric_row("T01", "composite: change under autocast", change_under_autocast(colour, *inputs))
 
 
 @pytest.mark.parametrize("opacity", [0.0, 1e-12, 1e-4, 9.99e-4])

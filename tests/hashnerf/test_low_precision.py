@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from hashnerf.low_precision import multiplies_bfloat16
+from hashnerf.low_precision import multiplies_bfloat16, without_autocast
 
 
 @pytest.fixture(autouse=True)
@@ -28,3 +28,14 @@ def test_a_gpu_is_asked_whether_it_emulates(monkeypatch):
 
 def test_an_unknown_kind_of_device_gets_float32():
     assert not multiplies_bfloat16("mps")
+
+
+@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16])
+def test_without_autocast_products_keep_their_precision(dtype):
+    a, b = torch.randn(2, 8, 8)
+    product = without_autocast(torch.matmul)
+    with torch.autocast("cpu", dtype=dtype):
+        assert (a @ b).dtype == dtype
+        assert torch.equal(product(a, b), product(a, other=b)) and product(a, b).dtype == torch.float32
+        assert (a @ b).dtype == dtype, "only inside the function"
+    assert torch.equal(product(a, b), a @ b)

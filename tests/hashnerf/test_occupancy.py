@@ -83,20 +83,35 @@ def test_n40_a_broken_density_does_not_poison_a_cell(bad, caplog, numeric_row):
     numeric_row("N40", f"{bad} in one cell, then a clean update", wrong)
 
 
+@pytest.mark.parametrize("turns", [1, 4])
 @pytest.mark.parametrize("emptied", [0.0, -1.0, "300 updates"])
-def test_n41_an_empty_grid_falls_back_to_every_cell_with_one_warning(emptied, caplog, numeric_row):
-    grid, wrong = OccupancyGrid(ALL_AT_ONCE, BOX), 0
+def test_n41_an_empty_grid_skips_everything_with_one_warning_and_fills_again(emptied, turns, caplog, numeric_row):
+    grid, wrong = OccupancyGrid(OccupancyConfig(cell=1.0, warmup=1, turns=turns), BOX), 0
     with caplog.at_level(logging.WARNING):
         for _ in range(300 if isinstance(emptied, str) else 1):
             grid.update(constant(0.0))
             if not isinstance(emptied, str):
                 grid.maximum.fill_(emptied)  # as if no cell had been seen by any camera
-            wrong += int((~grid.occupied()).sum()) + int((~(grid.densities()[0] > 0)).sum())
+            wrong += int(grid.occupied().sum()) + int((grid.densities()[0] != 0).sum()) + (not grid.is_empty())
     wrong += len(caplog.records) != 1
-    grid.update(in_cell(grid, 7, 5.0))
-    # what becomes dense later is found by the next update
+    for _ in range(turns):
+        grid.update(in_cell(grid, 7, 5.0))
+    # what becomes dense later is found by the next turn through all cells
     wrong += grid.occupied().nonzero()[:, 0].tolist() != [7]
-    numeric_row("N41", f"nothing occupied ({emptied}), then one dense cell", wrong)
+    numeric_row("N41", f"nothing occupied ({emptied}), then one dense cell, {turns} turns", wrong)
+
+
+def test_a_grid_that_saw_no_number_is_not_empty():
+    grid = OccupancyGrid(ALL_AT_ONCE, BOX)
+    grid.update(constant(math.nan))
+    assert grid.occupied().all(), "a field that is NaN everywhere must reach the loss, which reports it"
+
+
+def test_the_unseen_grid_is_sampled_everywhere():
+    grid = OccupancyGrid(ALL_AT_ONCE, BOX)
+    grid.update(constant(0.0))
+    assert grid.is_empty()
+    assert grid.unseen().occupied().all() and grid.unseen().shape == grid.shape
 
 
 @pytest.mark.parametrize("spike", [3.27e6, 3e38])
