@@ -94,6 +94,7 @@ class Probe:
         """Returns the state of each row of scores, or UNKNOWN; equal states answer with the first of them."""
         return self.agreed(scores, self.candidates.same.float().argmax(dim=1))
 
+    @without_autocast
     def agreed(self, scores: Float[Tensor, "n boxes"], label: Int[Tensor, " states"]) -> Int[Tensor, " n"]:
         """Returns the label (0, 1, ...) that the states which fit each row of scores agree on, or UNKNOWN.
 

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from hashnerf.activations import at_least_float32, one_minus_exp
+from hashnerf.low_precision import without_autocast
 
 MAX_THICKNESS = 1e3  # exp(-1000) is zero even in float64: a thicker sample changes nothing
 MAX_FACTOR = 1e30  # bound on density and on length, so that no product is inf * 0
@@ -31,14 +32,34 @@ def sample_weights(
     return transmittance[:, :-1] * one_minus_exp(thickness), transmittance[:, -1]
 
 
+class _WeightedSum(torch.autograd.Function):
+    """Sum of weighted colours; autocast would multiply in half precision, forward and backward."""
+
+    @staticmethod
+    @without_autocast
+    def forward(ctx, weights: Tensor, rgb: Tensor) -> Tensor:
+        ctx.save_for_backward(weights, rgb)
+        return torch.matmul(weights[:, None, :], rgb)[:, 0, :]
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    @without_autocast
+    def backward(ctx, gradient: Tensor) -> tuple[Tensor | None, Tensor | None]:
+        weights, rgb = ctx.saved_tensors
+        for_weights, for_rgb = ctx.needs_input_grad
+        return (
+            torch.matmul(rgb, gradient[:, :, None])[:, :, 0] if for_weights else None,
+            weights[:, :, None] * gradient[:, None, :] if for_rgb else None,
+        )
+
+
 def composite_colour(
     weights: Float[Tensor, "rays samples"], rgb: Float[Tensor, "rays samples 3"], background: Float[Tensor, "rays 3"]
 ) -> Float[Tensor, "rays 3"]:
     """Blend sample colours by weight over a background that fills what opacity is missing."""
     weights, rgb, background = (at_least_float32(value) for value in (weights, rgb, background))
     opacity = weights.sum(dim=1, keepdim=True)
-    with torch.autocast(weights.device.type, enabled=False):  # autocast would multiply in half precision
-        colour = torch.matmul(weights[:, None, :], rgb)[:, 0, :]
+    colour = _WeightedSum.apply(weights, rgb)
     # rounding can lift opacity a little above 1: the background may not turn negative. Colour and opacity are sums in
     # different orders, so their quotient or the sum of both parts may still pass 1, but only where all is as good as
     # white: no gradient of any worth is lost there

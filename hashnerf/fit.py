@@ -20,6 +20,7 @@ from hashnerf.errors import UserError
 from hashnerf.field import Field
 from hashnerf.finite_steps import FiniteSteps
 from hashnerf.known_surfaces import distance_error, standing
+from hashnerf.low_precision import without_autocast
 from hashnerf.marching import MOST_SAMPLES_PER_OPACITY, MarchSettings
 from hashnerf.occupancy import OccupancyGrid
 from hashnerf.rays import Rays
@@ -233,6 +234,7 @@ class FieldFit:
         first, last = self.config.first_samples_per_opacity, self.settings.samples_per_opacity
         return replace(self.settings, samples_per_opacity=first * (last / first) ** progress)
 
+    @without_autocast
     def step(self, step: int, batch: RayBatch, generator: torch.Generator | None) -> dict[str, float]:
         """Take one optimiser step (or skip it if anything is not finite) and return metrics over all processes."""
         if not (batch.rays.origins.isfinite().all() and batch.rays.directions.isfinite().all()):

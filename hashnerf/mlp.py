@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from hashnerf.low_precision import multiplies_bfloat16
+from hashnerf.low_precision import multiplies_bfloat16, without_autocast
 
 BLOCK = 4096  # rows: 4096 x 64 activations of 2 bytes fit the second-level cache several times
 GRAIN = 512  # a last block is filled up to a multiple: half-precision products of a size not met before cost 2 ms each
@@ -43,6 +43,7 @@ class _BlockedMLP(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
+    @without_autocast  # forward is told by MLP; a backward pass inside an autocast would multiply in half precision
     def backward(ctx, gradient: Tensor) -> tuple[Tensor | None, ...]:
         low, layers = ctx.low, len(ctx.low)
         wanted = ctx.needs_input_grad[2 + layers :]

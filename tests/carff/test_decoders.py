@@ -37,6 +37,13 @@ def test_coefficient_loss_equals_the_loss_on_pixels():
         assert torch.isclose(errors[row], torch.stack(pixel_errors).mean(), rtol=2e-3)
 
 
+def test_the_basis_is_the_same_under_autocast():
+    plain = components()
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        cast = components()
+    assert torch.equal(cast.basis, plain.basis) and torch.equal(cast.targets, plain.targets)
+
+
 @pytest.mark.parametrize("kind", ["components", "conv"])
 def test_the_error_to_the_mean_picture_is_the_expected_error_but_for_a_constant(kind):
     pictures, index = pictures_and_index()

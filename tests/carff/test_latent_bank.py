@@ -37,6 +37,14 @@ def test_share_zero_repeats_the_fixed_sample():
     assert torch.equal(draws, some.fixed[[0, 2, 0]])
 
 
+def test_state_beliefs_are_the_same_under_autocast():
+    some = bank([0.3, 0.1, 0.7, 0.2])
+    plain = some.state_beliefs()
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        cast = some.state_beliefs()
+    assert torch.equal(cast.mean, plain.mean) and torch.equal(cast.logvar, plain.logvar)
+
+
 def test_state_belief_has_the_mixture_moments():
     # Views at 0 and 10, half each, variance e^-4 each: mean 5, variance 25 + e^-4.
     belief = bank([1.0, 1.0, 1.0, 1.0]).state_beliefs()

@@ -93,6 +93,13 @@ def test_present_and_absent_are_told_apart_in_spite_of_noise():
     assert torch.equal(probe.classify(scores), state)
 
 
+def test_autocast_changes_no_probability():
+    probe, scores, _ = probe_of(noise=0.3)
+    plain = probe.state_posterior(scores)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        assert torch.equal(probe.state_posterior(scores), plain)
+
+
 def test_a_score_between_present_and_absent_is_unknown():
     probe, _, _ = probe_of()
     middle = probe.threshold.clone()

@@ -42,6 +42,14 @@ def test_the_belief_by_hand():
     assert torch.allclose(memory.belief, (1 - TRUST_IN_CONTRADICTION) * before + TRUST_IN_CONTRADICTION * ALL[0])
 
 
+def test_autocast_does_not_round_the_belief():
+    plain, cast = memory_of(2, 1, step_seconds=4.0), memory_of(2, 1, step_seconds=4.0)
+    plain.rule_out(1.3, reading(3))
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        cast.rule_out(1.3, reading(3))
+    assert torch.equal(cast.belief, plain.belief)
+
+
 def test_a_truck_that_was_seen_does_not_vanish_at_once_but_does_in_the_end():
     memory = memory_of(2, 8)
     gone = [bool(memory.rule_out(0.0, reading(0))) for _ in range(12)]

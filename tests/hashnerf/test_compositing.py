@@ -208,6 +208,28 @@ def test_t01_composite(numeric_row):
     numeric_row("T01", "composite: change under autocast", change_under_autocast(colour, *inputs))
 
 
+@pytest.mark.parametrize("dtype", HALVES)
+def test_n27_autocast_changes_no_gradient(dtype, numeric_row):
+    inputs = torch.rand(4, 50) * 3, torch.rand(4, 50), torch.rand(4, 50, 3)
+
+    def slopes():
+        leaves = [value.clone().requires_grad_() for value in inputs]
+        colour = composite_colour(sample_weights(*leaves[:2])[0], leaves[2], torch.ones(4, 3))
+        return torch.autograd.grad(colour.square().sum(), leaves)
+
+    with torch.autocast("cpu", enabled=False):
+        plain = slopes()
+    with torch.autocast("cpu", dtype=dtype):
+        worst = max(float((a - b).abs().max()) for a, b in zip(slopes(), plain))
+    numeric_row("N27", f"colour, forward and backward inside a {dtype} autocast: change of gradients", worst)
+
+
+def test_gradients_of_the_colour_equal_differences():
+    weights, rgb, background = (torch.rand(size, dtype=torch.float64) / 9 for size in ((2, 4), (2, 4, 3), (2, 3)))
+    leaves = [value.requires_grad_() for value in (weights, rgb, background)]
+    assert torch.autograd.gradcheck(composite_colour, leaves)
+
+
 @pytest.mark.parametrize("opacity", [0.0, 1e-12, 1e-4, 9.99e-4])
 def test_n28_an_empty_ray_has_no_depth(opacity, numeric_row):
     t = torch.tensor([[5.0], [0.1]])

@@ -130,9 +130,14 @@ def test_bfloat16_networks_are_close(monkeypatch):
 def test_autocast_outside_changes_nothing():
     field, (positions, directions) = trained_like(), samples(30)
     condition = torch.randn(30, 3)
-    plain = [*field(positions, directions, condition), field.background(Rays(positions, directions), condition)]
+
+    def everything():
+        beyond = field.background(Rays(positions, directions), condition)
+        return [*field(positions, directions, condition), beyond, field.density_bank(positions, condition)]
+
+    plain = everything()
     with torch.autocast("cpu", dtype=torch.bfloat16):
-        cast = [*field(positions, directions, condition), field.background(Rays(positions, directions), condition)]
+        cast = everything()
     for a, b in zip(plain, cast):
         assert torch.equal(a, b)
 

@@ -94,10 +94,14 @@ def test_n131_weights_multiplied_in_half_precision_move_by_small_steps(numeric_r
 def test_an_outer_autocast_changes_nothing(low, bfloat16_units):
     network = MLP(6, 16, 2, 3, low)
     x = torch.randn(9, 6, requires_grad=True)
-    with torch.autocast("cpu", dtype=torch.bfloat16):
+    learnt = [x, *network.weights]
+    plain = network([x])
+    slopes = torch.autograd.grad(plain.sum(), learnt)
+    with torch.autocast("cpu", dtype=torch.float16):
         inside = network([x])
-    inside.sum().backward()
-    assert torch.equal(inside, network([x]))
+        inside_slopes = torch.autograd.grad(inside.sum(), learnt)
+    assert torch.equal(inside, plain)
+    assert all(torch.equal(a, b) for a, b in zip(inside_slopes, slopes))
 
 
 @pytest.mark.parametrize("bank", [None, 1, 5])
