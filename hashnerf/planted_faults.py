@@ -34,7 +34,7 @@ class Fault:
     new: str
     """What stands there instead."""
     tests: tuple[str, ...]
-    """Files with the rows that should notice."""
+    """What pytest is to run: files or single tests with the rows that should notice."""
 
     def planted_in(self, text: str) -> str:
         """Returns the file's text with the fault; raises UserError unless `old` is found exactly once."""
