@@ -85,7 +85,7 @@ def failing_tests(folder: Path, tests: Sequence[str]) -> list[str]:
     if done.returncode not in (0, 1):
         raise UserError(f"{' '.join(tests)}: pytest could not run them; it ends with: {done.stdout[-300:].strip()}")
     passed = read_run(report).passed
-    return list(dict.fromkeys(test.split(".")[-1].split("[")[0] for test, well in passed.items() if not well))
+    return list(dict.fromkeys(test.split("[")[0].split(".")[-1] for test, well in passed.items() if not well))
 
 
 class FaultyCopy:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hashnerf.errors import UserError
-from hashnerf.planted_faults import Fault, fault_line, read_faults
+from hashnerf.planted_faults import Fault, failing_tests, fault_line, read_faults
 
 ROOT = Path(__file__).resolve().parents[2]
 FAULTS = read_faults(ROOT / "tests/planted_faults.yaml")
@@ -61,6 +61,14 @@ def test_a_fault_that_no_test_notices_is_not_caught():
     fault = Fault("a", "kernel", "fault", "a.py", "", "", ())
     assert fault_line(fault, []) == ("kernel", "fault", "none", "**no**")
     assert fault_line(fault, ["test_a", "test_b"]) == ("kernel", "fault", "`test_a`<br>`test_b`", "yes")
+
+
+def test_failing_tests_are_named_without_their_parameters(tmp_path):
+    (tmp_path / "test_a.py").write_text(
+        "import pytest\n@pytest.mark.numeric\n@pytest.mark.parametrize('x', [0.5, 1.5])\n"
+        "def test_n01_x(x):\n    assert not x\ndef test_no_row():\n    assert False\n"
+    )
+    assert failing_tests(tmp_path, ["test_a.py"]) == ["test_n01_x"]
 
 
 def test_a_fault_is_caught_and_a_comment_is_not(tmp_path):
