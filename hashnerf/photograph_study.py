@@ -152,9 +152,7 @@ def study_chart(points: list[Point]) -> Figure:
 def exposure_words(points: list[Point]) -> str:
     """Says whether modelling the exposure of every picture can pay."""
     most = max(point.exposure_db - point.psnr_db for point in points)
-    said = (
-        f"The best gain for each held-out photograph and channel, found with the photograph in hand, adds {most:.2f} dB"
-    )
+    said = f"The best gain for each held-out photograph and channel, found with it in hand, adds {most:.2f} dB"
     if most < WORTH_DB:
         return f"{said} at most: exposure is not modelled, as views that were not seen could not gain even that."
     return f"{said} at most: modelling the exposure of every picture may pay."
