@@ -22,14 +22,22 @@ PLACES = 64
 class Background(nn.Module):
     """Colour beyond a box (metres) as a function of a ray and, optionally, a condition."""
 
-    def __init__(self, box: Float[Tensor, "2 3"], direction_degree: int, condition_size: int, ground: bool):
+    def __init__(
+        self,
+        box: Float[Tensor, "2 3"],
+        direction_degree: int,
+        condition_size: int,
+        ground: bool,
+        sky_width: int = 0,
+    ):
         super().__init__()
         self.direction_degree = direction_degree
         inputs = direction_degree**2 + condition_size
-        self.sky = nn.Linear(inputs, 3)
+        last = nn.Linear(sky_width or inputs, 3)
         # a sky that no picture shows stays grey instead of taking some colour by chance
-        nn.init.zeros_(self.sky.weight)
-        nn.init.zeros_(self.sky.bias)
+        nn.init.zeros_(last.weight)
+        nn.init.zeros_(last.bias)
+        self.sky = nn.Sequential(nn.Linear(inputs, sky_width), nn.ReLU(), last) if sky_width else last
         self.ground = nn.Linear(inputs, 3) if ground else None
         if ground:
             self.register_buffer("box", box.clone(), persistent=False)

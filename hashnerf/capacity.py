@@ -1,9 +1,10 @@
 """How much of a radiance field a scene requires, read off its pictures before any training.
 
-Three questions, three numbers. How fine? A cell need not be finer than what a pixel covers where the cameras look (the
-*footprint*, depth over focal length), nor finer than the coarsest pixels that would show the pictures as well. How many
-table entries? One *texel* is a pixel's footprint of surface; texels are the pixels that show anything, divided by the
-number of pictures that share each point. How many samples? As many as a ray crosses cells of the occupancy grid.
+Is there anything? Not if a sky that depends on direction alone shows the pictures as well. How fine? A cell need not be
+finer than what a pixel covers where the cameras look (the *footprint*, depth over focal length), nor finer than the
+coarsest pixels that would show the pictures as well. How many table entries? One *texel* is a pixel's footprint of
+surface; texels are the pixels that show anything, divided by the number of pictures that share each point. How many
+samples? As many as a ray crosses cells of the occupancy grid.
 """
 
 import math
@@ -17,6 +18,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
+from hashnerf.background_only import background_psnr
 from hashnerf.cameras import Cameras, camera_rays
 from hashnerf.field import FieldConfig
 from hashnerf.marching import MarchSettings
@@ -46,6 +48,10 @@ CANDIDATES_PER_CELL = 1.5
 """Positions tried on the way through an occupancy cell."""
 NEARER = 0.25
 """Share of the views of a place that are near enough to show its details."""
+CLEAR = 1e-3
+"""Optical thickness of the box before training where it is taken for empty."""
+COARSE = 8
+"""Occupancy cells along such a box."""
 FEWEST_ENTRIES, MOST_ENTRIES = 8, 24
 """Binary logarithms."""
 FEWEST_CANDIDATES, MOST_CANDIDATES = 16, 256
@@ -122,6 +128,9 @@ def fitted_to_scene(
 
     What they state stays. Raises UserError where that leaves no room for `field.initial_thickness`.
     """
+    alone = background_psnr(images, cameras, box, settings.field.direction_degree, settings.field.sky_width)
+    if alone >= DETAIL_DB:
+        return _empty(settings, box, alone)
     scene = measure_scene(images, cameras, box)
     field, sides = settings.field, (box[1] - box[0]).double()
     longest = float(sides.amax())
@@ -146,6 +155,30 @@ def fitted_to_scene(
         occupancy=replace(settings.occupancy, cell=cell),
         march=replace(
             settings.march, candidates=candidates, even_distance=settings.march.even_distance or scene.distance
+        ),
+    ), reason
+
+
+def _empty(settings: Settings, box: Tensor, alone: float) -> tuple[Settings, str]:
+    """The least there can be, in clear air: its density says at once that no ray needs a sample."""
+    longest = float((box[1] - box[0]).amax())
+    field, occupancy, march = settings.field, settings.occupancy, settings.march
+    finest = field.finest_resolution or 2
+    field = replace(
+        field,
+        levels=field.levels or 1,
+        finest_resolution=finest,
+        base_resolution=min(field.base_resolution, finest),
+        log2_table_size=field.log2_table_size or FEWEST_ENTRIES,
+        initial_thickness=min(field.initial_thickness, CLEAR),
+    )
+    reason = f"capacity: a sky by direction alone shows the pictures with {alone:.1f} dB, so the box is taken for empty"
+    return replace(
+        settings,
+        field=field,
+        occupancy=replace(occupancy, cell=occupancy.cell or longest / COARSE),
+        march=replace(
+            march, candidates=march.candidates or FEWEST_CANDIDATES, even_distance=march.even_distance or longest
         ),
     ), reason
 

@@ -58,6 +58,8 @@ class FieldConfig:
     ground: bool = False
     """Beyond the box a flat ground goes on at the height of its floor, coloured by place; else what lies beyond is
     coloured by direction alone."""
+    sky_width: int = 0
+    """Units of a hidden layer between the direction and the sky's colour, which can show a sharp horizon; 0: none."""
     initial_thickness: float = 3.0
     """Optical thickness of the box along its longest side before training."""
     cell_thickness: float = 4.0
@@ -87,8 +89,9 @@ class FieldConfig:
             )
         if not 1 <= self.direction_degree <= MAX_DEGREE:
             raise UserError(f"field.direction_degree is {self.direction_degree}: use 1 to {MAX_DEGREE}")
-        if self.geometry_features < 0:
-            raise UserError(f"field.geometry_features is {self.geometry_features}: use 0 or more")
+        for name in ("geometry_features", "sky_width"):
+            if getattr(self, name) < 0:
+                raise UserError(f"field.{name} is {getattr(self, name)}: use 0 or more")
         for name in ("flatness", "initial_thickness", "cell_thickness"):
             if not 0 < getattr(self, name) < math.inf:
                 raise UserError(f"field.{name} is {getattr(self, name)}: use a positive number")
@@ -138,7 +141,9 @@ class Field(nn.Module):
         self.colour_network = MLP(
             harmonics + geometry + condition_size, config.hidden_width, config.colour_layers, 3, low
         )
-        self.beyond = Background(scene_box.float(), config.direction_degree, condition_size, config.ground)
+        self.beyond = Background(
+            scene_box.float(), config.direction_degree, condition_size, config.ground, config.sky_width
+        )
 
     @property
     def box(self) -> Float[Tensor, "2 3"]:

@@ -60,6 +60,9 @@ class FitConfig:
     """Weight of the error of known distances (per metre), where a batch has any."""
     empty_weight: float = 0.01
     """Weight of what stands at points known to be empty, where a batch has any."""
+    opacity_weight: float = 0.0
+    """Weight of the rays' mean opacity: fog in the colours of the background is as good as none for the pictures, and
+    this decides for none."""
     occupancy_every: int = 16
     """Steps between updates of the occupancy grid."""
     log_every: int = 20
@@ -71,7 +74,7 @@ class FitConfig:
         for name in ("learning_rate", "network_learning_rate", "final_share"):
             if not 0 < getattr(self, name) < math.inf:
                 raise UserError(f"fit.{name} is {getattr(self, name)}: use a positive number")
-        for name in ("distance_weight", "empty_weight"):
+        for name in ("distance_weight", "empty_weight", "opacity_weight"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise UserError(f"fit.{name} is {getattr(self, name)}: use 0 or a positive number")
         if not 0 <= self.average_decay < 1:
@@ -129,6 +132,8 @@ class _Loss(nn.Module):
         loss = (error if batch.weight is None else error * batch.weight).mean()
         if batch.distance is not None:
             loss = loss + self.config.distance_weight * distance_error(seen, batch.distance)
+        if self.config.opacity_weight:
+            loss = loss + self.config.opacity_weight * seen.opacity.mean()
         if batch.empty is not None:
             loss = loss + self.config.empty_weight * batch.empty_share * standing(self.field, batch.empty)
         return loss, squared.detach().mean(), seen.samples_evaluated

@@ -70,7 +70,7 @@ class StaticConfig:
     """Steps between checkpoints."""
     field: FieldConfig = option(
         default_factory=lambda: FieldConfig(
-            levels=0, log2_table_size=0, finest_resolution=0, initial_thickness=3.0, mlp_dtype="bfloat16"
+            levels=0, log2_table_size=0, finest_resolution=0, sky_width=64, mlp_dtype="bfloat16"
         )
     )
     """Capacity of the field."""
@@ -80,7 +80,11 @@ class StaticConfig:
     """How rays are sampled."""
     fit: FitConfig = option(
         default_factory=lambda: FitConfig(
-            learning_rate=0.05, final_share=0.02, first_samples_per_opacity=8.0, batch_samples=16384
+            learning_rate=0.05,
+            final_share=0.02,
+            first_samples_per_opacity=8.0,
+            batch_samples=16384,
+            opacity_weight=0.001,
         )
     )
     """Optimiser and batch."""

@@ -104,3 +104,24 @@ def test_extreme_rays_have_colours_and_finite_gradients(origin):
     colour.sum().backward()
     for gradient in (start.grad, directions.grad, *(parameter.grad for parameter in model.parameters())):
         assert gradient.isfinite().all()
+
+
+def test_a_sky_with_a_hidden_layer_is_grey_at_first_and_learns_a_sharp_horizon():
+    torch.manual_seed(0)
+    model = Background(BOX, direction_degree=3, condition_size=0, ground=False, sky_width=32)
+    directions = unit_directions(torch.randn(2000, 3))
+    seen = Rays(torch.zeros(2000, 3), directions)
+    assert torch.equal(model(seen, []), torch.full((2000, 3), 0.5))
+    up = directions[:, 2:]
+    colour = torch.where(up > 0, 0.3 + 0.6 * up, torch.tensor(0.3)).expand(-1, 3)
+
+    def error(sky) -> float:
+        optimizer = torch.optim.Adam(sky.parameters(), lr=0.03)
+        for _ in range(300):
+            optimizer.zero_grad()
+            loss = (sky(seen, []) - colour).square().mean()
+            loss.backward()
+            optimizer.step()
+        return float(loss)
+
+    assert error(model) < 0.5 * error(background(ground=False))

@@ -96,9 +96,20 @@ def test_stated_values_stay():
 
 def test_an_empty_scene_gets_next_to_nothing():
     plain = torch.full((4, 128, 128, 3), 90, dtype=torch.uint8)
-    full, _ = fitted_to_scene(Settings(), plain, FOUR.scaled(128, 128), FLAT)
-    assert full.field.levels == 1 and full.field.log2_table_size == 8 and full.field.finest_resolution <= 8
-    Field(full.field, FLAT), OccupancyGrid(full.occupancy, FLAT)
+    full, reason = fitted_to_scene(Settings(), plain, FOUR.scaled(128, 128), FLAT)
+    assert (full.field.levels, full.field.log2_table_size, full.field.finest_resolution) == (1, 8, 2)
+    assert "taken for empty" in reason and not is_open(full)
+    # so clear that no cell of the occupancy grid is ever sampled
+    field, grid = Field(full.field, FLAT), OccupancyGrid(full.occupancy, FLAT)
+    for _ in range(full.occupancy.warmup):
+        grid.update(lambda places: field.density(places)[0][None])
+    assert grid.is_empty()
+
+
+def test_what_an_empty_scene_is_told_stays():
+    stated = Settings(field=FieldConfig(levels=3, log2_table_size=0, finest_resolution=100))
+    full, _ = fitted_to_scene(stated, torch.full((4, 16, 16, 3), 9, dtype=torch.uint8), FOUR.scaled(16, 16), FLAT)
+    assert (full.field.levels, full.field.finest_resolution, full.field.base_resolution) == (3, 100, 16)
 
 
 def test_a_trained_fields_settings_come_back_from_its_config():

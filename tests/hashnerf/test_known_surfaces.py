@@ -105,6 +105,18 @@ def test_empty_points_clear_the_air_there_and_nowhere_else():
     assert (seen.rgb - 0.5).abs().mean() < 0.05, "what the rays see moved to where something may stand"
 
 
+def test_fog_in_the_colours_of_the_background_goes_where_opacity_has_a_price():
+    # the rays see grey, and so is the background: fog and none are the same for the pictures
+    opacity = []
+    for weight in (0.0, 0.1):
+        fit = train(build(opacity_weight=weight))
+        with torch.no_grad():
+            seen = render_batch(fit.field, downward(128, torch.Generator().manual_seed(1)), fit.occupancy, MARCH)
+        opacity.append(float(seen.opacity.mean()))
+        assert (seen.rgb - 0.5).abs().mean() < 0.05
+    assert opacity[1] < 0.1 * opacity[0]
+
+
 def test_further_parameters_are_trained_with_the_field():
     shift = torch.nn.Parameter(torch.zeros(3))
     torch.manual_seed(0)
@@ -118,7 +130,7 @@ def test_further_parameters_are_trained_with_the_field():
     assert len(fit.optimizer.param_groups) == 3
 
 
-@pytest.mark.parametrize("key", ["distance_weight", "empty_weight"])
+@pytest.mark.parametrize("key", ["distance_weight", "empty_weight", "opacity_weight"])
 def test_impossible_weights_name_the_key(key):
     with pytest.raises(UserError, match=f"fit.{key}"):
         FitConfig(**{key: -1.0})
