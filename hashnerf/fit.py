@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float, Int
 from lightning_fabric import Fabric
 from torch import Tensor, nn
+from torch.profiler import record_function
 
 from hashnerf.errors import UserError
 from hashnerf.field import Field
@@ -28,6 +29,9 @@ from hashnerf.render import Rendering, render
 from hashnerf.training_run import TrainingRun
 from hashnerf.weight_average import WeightAverage
 
+# as a profile names the parts of a step
+OCCUPANCY, DRAW, STEP = "occupancy grid", "rays and colours", "step"
+BACKWARD, UPDATE = "backward", "optimiser and average"
 EMPTY_TURNS = 16  # while the grid is empty one step in this many samples everywhere, so that the field can come back
 
 
@@ -252,7 +256,8 @@ class FieldFit:
         empty = self.occupancy.is_empty()
         occupancy = self.occupancy.unseen() if empty and step % EMPTY_TURNS == 0 else self.occupancy
         loss, squared, samples = self.loss(batch, occupancy, self._march_settings(progress), generator)
-        self.fabric.backward(loss)
+        with record_function(BACKWARD):
+            self.fabric.backward(loss)
         # of every group, also those beside the field: poses with a NaN would be lost as weights are
         learnt = [parameter for group in self.optimizer.param_groups for parameter in group["params"]]
         gradient = torch.nn.utils.get_total_norm([p.grad for p in learnt if p.grad is not None])
@@ -260,8 +265,9 @@ class FieldFit:
         # one process must not skip a step that the others take, nor draw another number of rays
         mean_loss, mean_squared, mean_samples, mean_rays = self.fabric.all_reduce(numbers, reduce_op="mean").tolist()
         if self.finite.accepts(step, {"colour loss": mean_loss, "gradient": gradient}):
-            self.optimizer.step()
-            self.average.update()
+            with record_function(UPDATE):
+                self.optimizer.step()
+                self.average.update()
         a_ray = mean_samples / max(mean_rays, 1)
         if empty:
             self.samples_per_ray = 0.0  # no sample to a ray asks for no more rays: as many as at the start
@@ -280,8 +286,12 @@ def fit_field(fit: FieldFit, draw_batch: DrawBatch, condition_bank: ConditionBan
     """Train until the run is over: `draw_batch(step, rays, generator)` gives about as many rays as asked."""
     for step in run.steps():
         if step % fit.config.occupancy_every == 0:
-            fit.update_occupancy(condition_bank(step))
+            with record_function(OCCUPANCY):
+                fit.update_occupancy(condition_bank(step))
         generator = fit.generator(step)
-        metrics = fit.step(step, draw_batch(step, fit.rays_wanted(), generator), generator)
+        with record_function(DRAW):
+            batch = draw_batch(step, fit.rays_wanted(), generator)
+        with record_function(STEP):
+            metrics = fit.step(step, batch, generator)
         if step % fit.config.log_every == 0:
             run.log(step, **metrics)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+from torch.profiler import record_function
 
 from hashnerf.cameras import Cameras, image_rays
 from hashnerf.compositing import composite_colour, expected_depth, median_depth, sample_weights
@@ -21,6 +22,7 @@ from hashnerf.rays import Rays
 FieldFn = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
 BackgroundFn = Callable[[Rays], Tensor]
 EDGE = 2.0  # distances within a pixel whose ratio is greater belong to different surfaces
+MARCH, FIELD = "march", "field at the samples"  # as a profile names them
 SAMPLES_AT_ONCE = 1 << 17  # without gradients the field sees this many samples at a time
 
 
@@ -56,12 +58,14 @@ def render(
 
     `density_fn` is the field's density alone, for marching that is guided by it; `look_at_ends` is as in `march`.
     """
-    samples = march(rays, occupancy, settings, generator, density_fn, look_at_ends)
+    with record_function(MARCH):
+        samples = march(rays, occupancy, settings, generator, density_fn, look_at_ends)
     shape = samples.mask.shape
     place, ray_index = samples.places()
     directions = rays.directions[ray_index]
     positions = rays.origins[ray_index] + directions * samples.t.view(-1)[place, None]
-    density, rgb = _evaluate(field_fn, positions, directions, ray_index)
+    with record_function(FIELD):
+        density, rgb = _evaluate(field_fn, positions, directions, ray_index)
     density = density.new_zeros(shape.numel()).index_copy(0, place, density).view(shape)
     rgb = rgb.new_zeros(shape.numel(), 3).index_copy(0, place, rgb).view(*shape, 3)
     weights, _ = sample_weights(density, samples.dt)
