@@ -34,6 +34,8 @@ def evaluate_beliefs(evaluation: EvaluationData) -> Part:
     scores, reasons = svm_scores(evaluation.beliefs)
     samples = reparameterise(views.belief, evaluation.generator(1))
     pcvae = scores | {"active_units": int(active_units(views.select(views.train).belief.mean).sum())}
+    # states that are points in the latent space span one dimension less than there are of them
+    pcvae["needed_units"] = min(len(evaluation.table) - 1, views.belief.mean.shape[1])
     pcvae |= reconstruction_scores(evaluation.beliefs, samples)
     figures = {
         "contact_sheet": png_bytes(contact_sheet_figure(evaluation)),

@@ -51,6 +51,7 @@ def evaluate_forecast(evaluation: EvaluationData) -> Part:
     results, figures, reasons = branch_results(evaluation, views, of_pictures[pictures.of_view])
     results["unknown_state_share"] = float((states == UNKNOWN).float().mean())
 
+    results["components"] = component_use(evaluation, views, pictures)
     after = evaluation.table.successor[views.state]
     ahead = _curves(evaluation, views, pictures, after, states.reshape(len(belief), runs, draws))
     figures["accuracy_recall"] = png_bytes(accuracy_recall_chart(ahead, "Forecast"))
@@ -60,6 +61,31 @@ def evaluate_forecast(evaluation: EvaluationData) -> Part:
     figures["accuracy_recall_latents"] = png_bytes(accuracy_recall_chart(now, "Belief"))
     results |= {"accuracy_recall": asdict(ahead), "accuracy_recall_latents": asdict(now), "draws": runs * draws}
     return Part({"forecast": results}, figures, reasons)
+
+
+@torch.no_grad()
+def component_use(evaluation: EvaluationData, views: Views, pictures: Pictures) -> dict:
+    """Returns how many components the mixture has, how many it uses, and how many the pictures ask for.
+
+    A view's number is the exponential of an entropy: of the mixture's weights, and of the shares of the states that may
+    truly follow its picture; means over views. `needed_most` is the largest number of such states.
+    """
+    weights = evaluation.model.mdn(*(getattr(views.belief, part) for part in ("mean", "logvar"))).log_weights.exp()
+    table, same = evaluation.table, evaluation.same_boxes
+    follows = torch.zeros(len(pictures.view), len(same), dtype=torch.float64)
+    share = table.branch_weight[table.branch[views.state]].double()
+    follows.index_put_((pictures.of_view, same[table.successor[views.state]]), share, accumulate=True)
+    follows /= follows.sum(dim=1, keepdim=True)
+
+    def mean_number(shares: Tensor) -> float:
+        return float((-torch.xlogy(shares, shares).sum(dim=1)).exp().mean())
+
+    return {
+        "there": weights.shape[1],
+        "used": mean_number(weights),
+        "needed": mean_number(follows[pictures.of_view]),
+        "needed_most": int((follows > 0).sum(dim=1).max()),
+    }
 
 
 def distinct_pictures(views: Views) -> Pictures:

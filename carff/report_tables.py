@@ -57,6 +57,7 @@ def pcvae_tables(results: Mapping) -> list[Table]:
         ("changed_px_db", "PSNR, changed pixels only", "dB"),
         ("psnr_mean_image_db", "PSNR of each camera's mean picture (a free baseline)", "dB"),
         ("active_units", "active latent dimensions", ""),
+        ("needed_units", "dimensions that the states span at most", ""),
     )
     quality = tuple((label, number(pcvae[key], unit)) for key, label, unit in more if pcvae.get(key) is not None)
     return [Table(("state named from the latent", "accuracy"), rows, note), Table(("reconstruction", ""), quality)]
@@ -107,6 +108,18 @@ def forecast_tables(results: Mapping) -> list[Table]:
     if rows:
         note = "Expected calibration error over 10 bins; mean absolute error view by view, where errors cannot cancel."
         tables.append(Table(("actor visibility", "views", "ECE", "MAE"), rows, note))
+    use = lookup(results, "forecast.components")
+    if use is not None:
+        mixture = tuple(
+            (label, number(use[key], digits=digits))
+            for key, label, digits in (
+                ("there", "components of the mixture", 0),
+                ("used", "used, mean over views", 2),
+                ("needed", "asked for by what may follow a picture, mean over views", 2),
+                ("needed_most", "asked for by the picture that leaves most open", 0),
+            )
+        )
+        tables.append(Table(("mixture of the forecast", ""), mixture, "Exponentials of entropies."))
     ambiguous = calibration.get("ambiguous", {})
     if ambiguous.get("mean_probability"):
         names = lookup(results, "data.branches") or [str(index) for index in range(len(ambiguous["mean_probability"]))]

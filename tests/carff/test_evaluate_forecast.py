@@ -29,6 +29,13 @@ def test_a_true_forecast_is_calibrated(tiny_evaluation):
     assert set(part.figures) == {"accuracy_recall", "accuracy_recall_latents", "calibration"} and not part.not_run
 
 
+def test_a_true_forecast_uses_as_many_components_as_the_pictures_ask_for(tiny_evaluation):
+    # two of eight views leave two states open, evenly: exp(ln 2) = 2 each, the others 1: (2 * 2 + 6) / 8
+    use = evaluate_forecast(tiny_evaluation).results["forecast"]["components"]
+    assert use["needed"] == pytest.approx(1.25) and use["used"] == pytest.approx(1.25, abs=1e-3)
+    assert (use["there"], use["needed_most"]) == (4, 2)
+
+
 def test_curves_of_a_true_forecast(tiny_evaluation):
     forecast = evaluate_forecast(tiny_evaluation).results["forecast"]
     ahead = forecast["accuracy_recall"]

@@ -72,3 +72,9 @@ def test_forecast_table_names_branches_where_the_data_does():
     assert classes.rows == (("none", "4", "0.020", "0.030"), ("full", "0", "–", "–"))
     assert branches.rows == (("absent", "0.52", "0.50"), ("present", "0.48", "0.50"))
     assert forecast_tables({"forecast": {"calibration": calibration}})[1].rows[0][0] == "0"
+
+
+def test_what_is_used_stands_beside_what_is_needed():
+    use = {"there": 2, "used": 1.3412, "needed": 1.4142, "needed_most": 2}
+    (table,) = forecast_tables({"forecast": {"components": use}})
+    assert [row[1] for row in table.rows] == ["2", "1.34", "1.41", "2"]
