@@ -23,15 +23,15 @@ from aerial2ground.reconstruction import RoadNerf, train_road_nerf
 from aerial2ground.road_network import RoadNetwork, read_road_file, read_road_network
 from aerial2ground.trajectories import read_trajectories
 from hashnerf.cameras import Cameras, project
-from hashnerf.capacity import filled_from, fitted_to_scene, is_open
-from hashnerf.command_line import plain_config, read_yaml, save_config, set_threads, usable_cores
+from hashnerf.capacity import filled_from, with_capacity
+from hashnerf.command_line import plain_config, save_config, set_threads, usable_cores
 from hashnerf.errors import UserError
 from hashnerf.made_from import begin, digest
 from hashnerf.model_files import load_model, weights_digest
 from hashnerf.posed_images import PosedImages, load_posed_images
-from hashnerf.progress import say
 from hashnerf.random_state import seed_everything
 from hashnerf.run_lock import RunLock
+from hashnerf.training_run import begun_config
 
 CONFIG = "config.yaml"
 FEWEST_PICTURES = 8
@@ -127,10 +127,15 @@ def run_reconstruction(config: AerialConfig) -> None:
     survey = load_survey(config)
     config.folder.mkdir(parents=True, exist_ok=True)
     train = survey.train
-    if is_open(config.reconstruction):
-        full, reason = fitted_to_scene(config.reconstruction, train.images, train.cameras, survey.data.scene_box)
-        config = replace(config, reconstruction=full)
-        say(reason)
+    begun = begun_config(config.folder / "reconstruction", config.overwrite)
+    full = with_capacity(
+        config.reconstruction,
+        begun and begun["reconstruction"],
+        train.images,
+        train.cameras,
+        survey.data.scene_box,
+    )
+    config = replace(config, reconstruction=full)
     nerf = new_nerf(config, survey.data.scene_box, len(train))
     record = {key: plain_config(config)[key] for key in ("dataset", "image_size", "seed", "reconstruction")}
     for key in VIEWING:
@@ -162,9 +167,9 @@ def load_nerf(config: AerialConfig, survey: Survey) -> tuple[RoadNerf, dict]:
 
 def _load_nerf(config: AerialConfig, scene_box: Float[Tensor, "2 3"], cameras: int) -> tuple[RoadNerf, dict]:
     folder = config.folder / "reconstruction"
-    if is_open(config.reconstruction) and (folder / CONFIG).is_file():
-        trained = read_yaml(folder / CONFIG)["reconstruction"]
-        config = replace(config, reconstruction=filled_from(config.reconstruction, trained))
+    begun = begun_config(folder)
+    if begun is not None:
+        config = replace(config, reconstruction=filled_from(config.reconstruction, begun["reconstruction"]))
     nerf, cost = load_model(folder, lambda _: new_nerf(config, scene_box, cameras), "scripts/train_road_nerf.py")
     return nerf.eval(), cost
 

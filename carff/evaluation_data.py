@@ -20,7 +20,7 @@ from carff.config import CarffConfig
 from carff.model import CarffModel, load_carff
 from carff.pcvae import Pcvae
 from carff.scene_info import scene_info
-from carff.stages import load_pcvae
+from carff.stages import load_pcvae, refuse_other_pcvae
 from carff.state_style import StateStyle, state_style
 from carff.states import StateTable, ambiguous_groups, build_state_table
 from hashnerf.capacity import filled_from, is_open
@@ -166,10 +166,11 @@ def load_evaluation_data(config: CarffConfig) -> EvaluationData:
 def load_belief_data(config: CarffConfig) -> tuple[BeliefData, dict]:
     """Loads the PC-VAE of a run, whose later stages may be missing, and its data set; also what its training cost.
 
-    Raises UserError where it is not trained.
+    Raises UserError where it is not trained, or was trained on other data or with another config.
     """
     data = load_posed_images(Path(config.dataset), config.image_size or None)
     table = build_state_table(data)
+    refuse_other_pcvae(config)
     pcvae, cost = load_pcvae(config, scene_info(data, table))
     groups = ambiguous_groups(data.images, table.views)
     views = all_views(table, groups, pcvae.encode(data.images).to("cpu"))

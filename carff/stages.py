@@ -23,13 +23,14 @@ from carff.pcvae_training import train_pcvae
 from carff.scene_info import SceneInfo, scene_info
 from carff.states import StateTable, build_state_table
 from carff.transitions import TransitionSampler, ViewBeliefs
-from hashnerf.capacity import fitted_to_scene, is_open
+from hashnerf.capacity import with_capacity
 from hashnerf.command_line import config_changes, plain_config, read_yaml, save_config, set_threads
 from hashnerf.errors import UserError
 from hashnerf.model_files import load_model
 from hashnerf.posed_images import PosedImages, load_posed_images
 from hashnerf.progress import say
 from hashnerf.random_state import seed_everything
+from hashnerf.training_run import begun_config
 
 CONFIG, SCENE = "config.yaml", "scene.json"
 BIRDS_EYE = "birds_eye"
@@ -83,7 +84,10 @@ def run_nerf(config: CarffConfig) -> None:
     data, table = load_data(config)
     pcvae = _pcvae_of_this_config(config, data, table)
     beliefs = encode_views(pcvae, data, table.view_index("train"))
-    config = with_capacity(config, data)
+    begun = begun_config(config.folder / "nerf", config.overwrite)
+    train = data.split("train")
+    full = with_capacity(config.nerf, begun and begun["nerf"], train.images, train.cameras, data.scene_box)
+    config = replace(config, nerf=full)
     nerf = build_nerf(config.nerf, beliefs, data.scene_box, config.seed).to(device_of(config))
     fabric = Fabric(accelerator=device_of(config).type, devices=1)
     held_out = training_views(table, (BIRDS_EYE,))
@@ -111,16 +115,6 @@ def run_nerf(config: CarffConfig) -> None:
     )
 
 
-def with_capacity(config: CarffConfig, data: PosedImages) -> CarffConfig:
-    """Returns the config with what the radiance field leaves open derived from the training views, and says why."""
-    if not is_open(config.nerf):
-        return config
-    train = data.split("train")
-    nerf, reason = fitted_to_scene(config.nerf, train.images, train.cameras, data.scene_box)
-    say(reason)
-    return replace(config, nerf=nerf)
-
-
 def settled(config: NerfConfig) -> NerfConfig:
     """Returns the config by which a trained field goes on: small steps, fresh latents, all samples from the start."""
     fit = config.fit
@@ -145,7 +139,13 @@ def run_mdn(config: CarffConfig) -> None:
 
 
 def _pcvae_of_this_config(config: CarffConfig, data: PosedImages, table: StateTable) -> Pcvae:
-    """Loads the PC-VAE that a later stage builds on; refuses one of another data set, size, seed or training."""
+    """Loads the PC-VAE that a later stage builds on."""
+    refuse_other_pcvae(config)
+    return load_pcvae(config, scene_info(data, table))[0]
+
+
+def refuse_other_pcvae(config: CarffConfig) -> None:
+    """Raises UserError for a run whose PC-VAE is one of another data set, size, seed or training."""
     trained = config.folder / "pcvae" / CONFIG
     changes = config_changes(read_yaml(trained), _record(config, "pcvae")) if trained.is_file() else []
     if changes:
@@ -153,7 +153,6 @@ def _pcvae_of_this_config(config: CarffConfig, data: PosedImages, table: StateTa
             f"{trained.parent}: the PC-VAE was trained with another config ({'; '.join(changes)}); give the same, "
             "or run scripts/train_pcvae.py first, under another name or with --overwrite true"
         )
-    return load_pcvae(config, scene_info(data, table))[0]
 
 
 def load_pcvae(config: CarffConfig, scene: SceneInfo) -> tuple[Pcvae, dict]:

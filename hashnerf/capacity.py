@@ -8,9 +8,9 @@ samples? As many as a ray crosses cells of the occupancy grid.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
@@ -18,13 +18,14 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
-from hashnerf.background_only import background_psnr
+from hashnerf.background_only import background_alone
 from hashnerf.cameras import Cameras, camera_rays
 from hashnerf.field import FieldConfig
 from hashnerf.marching import MarchSettings
 from hashnerf.occupancy import OccupancyConfig
+from hashnerf.progress import say
 from hashnerf.ray_box import intersect_box
-from hashnerf.visible_volume import box_lattice, visible_points
+from hashnerf.visible_volume import box_lattice, evenly, visible_points
 
 LATTICE = 20
 """Points along each side of the box that are looked for in the pictures."""
@@ -32,6 +33,8 @@ MOST_PICTURES = 64
 """Pictures that are looked at, evenly chosen."""
 DETAIL_DB = 40.0
 """Pictures that agree this well with themselves at a lower resolution need no more of it."""
+EMPTY_DB, EMPTY_BLOCK_DB = 40.0, 28.0
+"""Pictures that a background shows this well, on average and in the worst block, show nothing that stands anywhere."""
 COARSEST = 64
 """Most by which the pixels are enlarged in search of detail."""
 PLAIN = 2 / 255
@@ -97,7 +100,7 @@ OPEN = {
 def measure_scene(images: UInt8[Tensor, "n h w 3"], cameras: Cameras, box: Float[Tensor, "2 3"]) -> SceneMeasures:
     """Looks at pictures and at what their cameras see of a box (metres)."""
     count = len(cameras)
-    rows = torch.linspace(0, count - 1, min(count, MOST_PICTURES)).round().long()
+    rows = evenly(count, MOST_PICTURES)
     chosen, pictures = cameras.select(rows), images[rows]
     seen, depth = visible_points(chosen, box_lattice(box, LATTICE))
     if not bool(seen.any()):  # a box between the cameras' lines of sight: its middle is all that is known
@@ -126,11 +129,12 @@ def fitted_to_scene(
 ) -> tuple[Settings, str]:
     """Returns settings with what they leave open (0) derived from pictures of a box (metres), and why, in one line.
 
-    What they state stays. Raises UserError where that leaves no room for `field.initial_thickness`.
+    What they state stays, but for `field.initial_thickness` where nothing stands in the box: that starts in clear air.
+    Raises UserError where what is stated leaves no room for `field.initial_thickness`.
     """
-    alone = background_psnr(images, cameras, box, settings.field.direction_degree, settings.field.sky_width)
-    if alone >= DETAIL_DB:
-        return _empty(settings, box, alone)
+    alone = background_alone(images, cameras, box, settings.field.direction_degree, settings.field.sky_width)
+    if alone.mean_db >= EMPTY_DB and alone.worst_block_db >= EMPTY_BLOCK_DB:
+        return _empty(settings, box, alone.mean_db)
     scene = measure_scene(images, cameras, box)
     field, sides = settings.field, (box[1] - box[0]).double()
     longest = float(sides.amax())
@@ -140,7 +144,7 @@ def fitted_to_scene(
     texels = max(1.0, scene.texels / scene.enlargement**2)
     entries = math.ceil(math.log2(VERTICES_PER_TEXEL * texels))
     entries = field.log2_table_size or min(max(entries, FEWEST_ENTRIES), MOST_ENTRIES)
-    cell = settings.occupancy.cell or max((float(sides.prod()) / OCCUPANCY_CELLS) ** (1 / 3), longest / finest)
+    cell = settings.occupancy.cell or _occupancy_cell(sides.tolist(), longest / finest)
     crossed = math.ceil(CANDIDATES_PER_CELL * scene.chord / cell)
     candidates = settings.march.candidates or min(max(crossed, FEWEST_CANDIDATES), MOST_CANDIDATES)
     reason = (
@@ -154,9 +158,22 @@ def fitted_to_scene(
         field=replace(field, levels=levels, finest_resolution=finest, base_resolution=base, log2_table_size=entries),
         occupancy=replace(settings.occupancy, cell=cell),
         march=replace(
-            settings.march, candidates=candidates, even_distance=settings.march.even_distance or scene.distance
+            settings.march, candidates=candidates, even_distance=settings.march.even_distance or _short(scene.distance)
         ),
     ), reason
+
+
+def _occupancy_cell(sides: list[float], finest: float) -> float:
+    """The edge (m) that gives about as many cells as wanted, no finer than the field's."""
+    cell = max((math.prod(sides) / OCCUPANCY_CELLS) ** (1 / 3), finest)
+    while math.prod(math.ceil(side / cell) for side in sides) > 2 * OCCUPANCY_CELLS:
+        cell *= 1.1  # in a box thinner than a cell the volume misleads
+    return _short(cell)
+
+
+def _short(value: float) -> float:
+    """A number that people can read in a config."""
+    return float(f"{value:.4g}")
 
 
 def _empty(settings: Settings, box: Tensor, alone: float) -> tuple[Settings, str]:
@@ -176,47 +193,81 @@ def _empty(settings: Settings, box: Tensor, alone: float) -> tuple[Settings, str
     return replace(
         settings,
         field=field,
-        occupancy=replace(occupancy, cell=occupancy.cell or longest / COARSE),
+        occupancy=replace(occupancy, cell=occupancy.cell or _short(longest / COARSE)),
         march=replace(
-            march, candidates=march.candidates or FEWEST_CANDIDATES, even_distance=march.even_distance or longest
+            march,
+            candidates=march.candidates or FEWEST_CANDIDATES,
+            even_distance=march.even_distance or _short(longest),
         ),
     ), reason
 
 
-def filled_from(settings: Settings, stored: Mapping[str, Mapping]) -> Settings:
+def with_capacity(
+    settings: Settings,
+    stored: Mapping[str, Any] | None,
+    images: UInt8[Tensor, "n h w 3"],
+    cameras: Cameras,
+    box: Float[Tensor, "2 3"],
+) -> Settings:
+    """Returns settings with nothing left open: as `stored` by a training that was begun, else derived, and said why."""
+    if not is_open(settings):
+        return settings
+    if stored is not None:
+        return filled_from(settings, stored)
+    full, reason = fitted_to_scene(settings, images, cameras, box)
+    say(reason)
+    return full
+
+
+def filled_from(settings: Settings, stored: Mapping[str, Any]) -> Settings:
     """Returns settings with what they leave open taken from stored ones: those that a field was trained with."""
     parts = {}
     for part, names in OPEN.items():
         own = getattr(settings, part)
         left = [name for name in names if not getattr(own, name)]
-        if "finest_resolution" in left:
-            left.append("base_resolution")  # derived along with it
+        if part == "field" and left:
+            left += ["base_resolution", "initial_thickness"]  # derived along with the others
         parts[part] = replace(own, **{name: stored[part][name] for name in left})
     return replace(settings, **parts)
 
 
 def enlargement(images: UInt8[Tensor, "n h w 3"]) -> int:
-    """Returns by how much (a power of two) pixels can grow until the pictures lose more than `DETAIL_DB` keeps."""
-    pictures = images.permute(0, 3, 1, 2).float() / 255
-    factor = 1
-    while 2 * factor <= min(COARSEST, *pictures.shape[2:]):
-        coarse = avg_pool2d(pictures, 2 * factor, ceil_mode=True, count_include_pad=False)
-        again = interpolate(coarse, scale_factor=2 * factor, mode="bilinear")[
-            ..., : pictures.shape[2], : pictures.shape[3]
-        ]
-        if float((again - pictures).square().mean()) > 10 ** (-DETAIL_DB / 10):
+    """Returns by how much (a power of two) pixels can grow until what the pictures show loses more than allowed.
+
+    The error counts over the blocks that show anything: a small thing before a wide sky must not be lost.
+    """
+    factor, shown = 1, max(structured_share(images), BLOCK**2 / images[..., 0].numel())
+    while 2 * factor <= min(COARSEST, *images.shape[1:3]):
+        lost = sum(_lost(picture, 2 * factor) for picture in _pictures(images)) / (len(images) * shown)
+        if lost > 10 ** (-DETAIL_DB / 10):
             break
         factor *= 2
     return factor
 
 
+def _lost(picture: Float[Tensor, "1 3 h w"], factor: int) -> float:
+    """Mean squared error of a picture against itself with larger pixels."""
+    coarse = avg_pool2d(picture, factor, ceil_mode=True, count_include_pad=False)
+    again = interpolate(coarse, scale_factor=factor, mode="bilinear")[..., : picture.shape[2], : picture.shape[3]]
+    return float((again - picture).square().mean())
+
+
 def structured_share(images: UInt8[Tensor, "n h w 3"]) -> float:
     """Returns the share of the pictures' area whose blocks of 8 x 8 pixels are not of one colour."""
-    pictures = images.permute(0, 3, 1, 2).float() / 255
-    mean = avg_pool2d(pictures, BLOCK, ceil_mode=True, count_include_pad=False)
-    square = avg_pool2d(pictures.square(), BLOCK, ceil_mode=True, count_include_pad=False)
+    return float(np.mean([_structured(picture) for picture in _pictures(images)]))
+
+
+def _structured(picture: Float[Tensor, "1 3 h w"]) -> float:
+    mean = avg_pool2d(picture, BLOCK, ceil_mode=True, count_include_pad=False)
+    square = avg_pool2d(picture.square(), BLOCK, ceil_mode=True, count_include_pad=False)
     spread = (square - mean.square()).clamp(min=0).sqrt().amax(dim=1)
     return float((spread > PLAIN).float().mean())
+
+
+def _pictures(images: UInt8[Tensor, "n h w 3"]) -> Iterator[Float[Tensor, "1 3 h w"]]:
+    """Pictures one after another: all as numbers at once would be gigabytes."""
+    for picture in images:
+        yield picture.permute(2, 0, 1)[None].float() / 255
 
 
 def _chord(cameras: Cameras, box: Tensor) -> float:

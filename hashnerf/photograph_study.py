@@ -22,7 +22,7 @@ from hashnerf.pipeline import run_stage
 from hashnerf.posed_images import PosedImages
 from hashnerf.report_tables import Table
 from hashnerf.results_page import table_lines
-from hashnerf.static_scene import CONFIG, FIELD, SCRIPT, StaticConfig, StaticNerf, load_scene
+from hashnerf.static_scene import CONFIG, FIELD, RESULTS, SCRIPT, StaticConfig, StaticNerf, load_scene
 from hashnerf.transforms_json import read_transforms
 
 TARGET_DB = 24.0
@@ -70,6 +70,7 @@ class Point:
     exposure_db: float
     """With the best gain for each held-out photograph."""
     capacity: str
+    """Levels, finest resolution and entries of the field."""
 
 
 def run_study(config: PhotographStudy) -> list[Point]:
@@ -88,7 +89,8 @@ def run_study(config: PhotographStudy) -> list[Point]:
 def read_point(folder: Path) -> Point:
     """Reads what a run of the training script left, and renders its held-out pictures once more."""
     config = load_config(StaticConfig, folder / CONFIG)
-    results = read_transforms(folder / "reconstruction.json")
+    field = config.field
+    results = read_transforms(folder / RESULTS)
     data = load_scene(config)
     nerf, cost = load_model(folder / FIELD, lambda _: StaticNerf(config, data.scene_box), SCRIPT)
     return Point(
@@ -99,7 +101,7 @@ def read_point(folder: Path) -> Point:
         results["psnr_db"],
         results["psnr_one_colour_db"],
         best_exposure_psnr(nerf.picture, data.split("test")),
-        results["capacity"],
+        f"{field.levels} levels to {field.finest_resolution} cells, 2^{field.log2_table_size} entries",
     )
 
 

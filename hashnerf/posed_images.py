@@ -22,7 +22,6 @@ from hashnerf.image_files import read_depth, read_rgb, resolve_inside
 from hashnerf.lens import COEFFICIENT_KEYS, LENS_KEYS, UNSUPPORTED_COEFFICIENTS, read_lens
 from hashnerf.poses import default_scene_box, read_pose, scene_origin
 from hashnerf.transforms_json import EXTRA_KEYS, check_extras, is_index, misspelled, read_transforms
-from hashnerf.visible_volume import visible_box
 
 SPLITS = ("train", "val", "test")
 IMAGE_EXTENSIONS = (".png", ".jpg")
@@ -55,6 +54,8 @@ class PosedImages:
     extras: dict
     folder: Path
     origin: Float[Tensor, " 3"] = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
+    box_told: bool = True
+    """Whether the file states the box; else it is a loose one around all cameras and what lies ahead of them."""
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -88,7 +89,7 @@ class PosedImages:
         box = (torch.tensor(list(told), dtype=torch.float64).view(2, 3) - self.origin).float()
         if not any_sees(self.cameras, box):
             raise UserError(f"scene_box is {list(told)}; no camera sees it: give metres, in the poses' frame")
-        return replace(self, scene_box=box)
+        return replace(self, scene_box=box, box_told=True)
 
 
 @dataclass
@@ -292,9 +293,6 @@ def _assemble(folder: Path, document: dict, views: list[_View]) -> PosedImages:
     width, height = views[0].size
     cameras = Cameras(torch.from_numpy(poses).float(), lens[:, :2], lens[:, 2:4], lens[:, 4:], width, height)
     images = torch.from_numpy(np.stack([view.image for view in views]))
-    scene_box = torch.from_numpy(box - origin).float()
-    if not document.get("scene_box"):
-        scene_box = visible_box(cameras, scene_box)  # loose as it is, and what nobody sees cannot be learned
     extras = {key: document[key] for key in document if key not in (*CAMERA_KEYS, "frames", "scene_box")}
     for boxes in (extras.get("actors") or {}).values():
         for actor in boxes:
@@ -303,8 +301,9 @@ def _assemble(folder: Path, document: dict, views: list[_View]) -> PosedImages:
         images,
         cameras.scaled(images.shape[2], images.shape[1]),
         tuple(view.frame for view in views),
-        scene_box,
+        torch.from_numpy(box - origin).float(),
         extras,
         folder,
         torch.from_numpy(origin),
+        bool(document.get("scene_box")),
     )

@@ -2,51 +2,47 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from statistics import median
 from time import perf_counter
 
 from hashnerf.budget import best_within
 from hashnerf.capacity import fitted_to_scene
-from hashnerf.command_line import read_yaml
-from hashnerf.fit import FieldFit, RayBatch
-from hashnerf.picture_rays import PictureRays
 from hashnerf.posed_images import PosedImages
-from hashnerf.static_scene import FIELD, StaticConfig, StaticNerf, load_scene
-from hashnerf.training_run import CONFIG
+from hashnerf.static_scene import FIELD, StaticConfig, StaticNerf, batches_of, load_scene, new_fit
+from hashnerf.training_run import begun_config
 
-TRIAL_STEPS, FIRST_STEPS = 40, 8
-"""Steps that are timed after some that warm up: two rounds of the occupancy grid's updates are among them."""
+FIRST_STEPS, TRIAL_STEPS = 8, 40
+"""Steps that warm up, and steps that are timed after them."""
+LATER = 1.4
+"""As the air clears rays have fewer samples, and there are more rays to a step: a late step may take this many times
+an early one (one box in the air: 1.4, scenes full of surface: less than 1)."""
 
 
-def within_seconds(config: StaticConfig, presets: Mapping[str, Mapping], budget: float) -> tuple[StaticConfig, str]:
+def within_seconds(config: StaticConfig, presets: Mapping[str, int], budget: float) -> tuple[StaticConfig, str]:
     """Returns the config with the steps of the best preset whose training fits a budget (s), and why in one line.
 
-    `presets` are settings from the least to the most accurate. A run that was begun keeps its steps: a second choice
-    on a busier machine would be another config. Raises UserError where no preset fits.
+    `presets` are steps, from the least to the most accurate preset. A run that was begun keeps its steps: a second
+    choice on a busier machine would be another config. Raises UserError where no preset fits.
     """
-    begun = config.folder / FIELD / CONFIG
-    if begun.is_file() and not config.overwrite:
-        steps = read_yaml(begun)["steps"]
+    begun = begun_config(config.folder / FIELD, config.overwrite)
+    if begun is not None:
+        steps = begun["steps"]
         return replace(config, steps=steps), f"{config.folder}: was begun with {steps} steps and keeps them"
-    pace = seconds_per_step(config, load_scene(config).split("train"))
-    costs = {name: settings["steps"] * pace for name, settings in presets.items()}
+    pace = LATER * seconds_per_step(config, load_scene(config).split("train"))
+    costs = {name: steps * pace for name, steps in presets.items()}
     name, reason = best_within(costs, budget, "max_seconds", "s")
-    return replace(config, steps=presets[name]["steps"]), reason
+    return replace(config, steps=presets[name]), reason
 
 
 def seconds_per_step(config: StaticConfig, train: PosedImages) -> float:
-    """Returns the seconds of a training step, from a few on a field that is thrown away."""
+    """Returns the mean seconds of an early training step, from a few on a field that is thrown away."""
     full, _ = fitted_to_scene(config, train.images, train.cameras, train.scene_box)
-    nerf, pictures = StaticNerf(full, train.scene_box), PictureRays.of(train)
-    fit = FieldFit(nerf.field, nerf.occupancy, full.fit, full.march, TRIAL_STEPS)
-    taken = []
+    fit, draw_batch = new_fit(full, StaticNerf(full, train.scene_box), TRIAL_STEPS), batches_of(train)
+    start = perf_counter()
     for step in range(FIRST_STEPS + TRIAL_STEPS):
-        start = perf_counter()
+        if step == FIRST_STEPS:
+            start = perf_counter()
         if step % full.fit.occupancy_every == 0:
             fit.update_occupancy(None)
         generator = fit.generator(step)
-        fit.step(step, RayBatch(*pictures.rays(*pictures.draw(fit.rays_wanted(), generator))), generator)
-        taken.append(perf_counter() - start)
-    late = taken[FIRST_STEPS:]
-    # the updates are few and dear, which a median would forget
-    return max(sum(late) / len(late), median(late))
+        fit.step(step, draw_batch(step, fit.rays_wanted(), generator), generator)
+    return (perf_counter() - start) / TRIAL_STEPS

@@ -15,22 +15,22 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor, nn
 
-from hashnerf.capacity import fitted_to_scene
+from hashnerf.capacity import with_capacity
 from hashnerf.command_line import plain_config, save_config, set_threads
 from hashnerf.errors import UserError
 from hashnerf.field import Field, FieldConfig
-from hashnerf.fit import FieldFit, FitConfig, RayBatch, fit_field
+from hashnerf.fit import DrawBatch, FieldFit, FitConfig, RayBatch, fit_field
 from hashnerf.marching import MarchSettings
 from hashnerf.metrics import psnr
 from hashnerf.model_files import load_model, save_model
 from hashnerf.occupancy import OccupancyConfig, OccupancyGrid
 from hashnerf.picture_rays import PictureRays
 from hashnerf.posed_images import PosedImages, load_posed_images
-from hashnerf.progress import say
 from hashnerf.random_state import seed_everything
 from hashnerf.render import render_image
-from hashnerf.training_run import TrainingRun, run_folder
+from hashnerf.training_run import TrainingRun, begun_config, run_folder
 from hashnerf.transforms_json import write_atomically
+from hashnerf.visible_volume import visible_box
 
 CONFIG, FIELD, RESULTS = "config.yaml", "field", "reconstruction.json"
 SHOWN = 3
@@ -85,6 +85,7 @@ class StaticConfig:
             first_samples_per_opacity=8.0,
             batch_samples=16384,
             opacity_weight=0.001,
+            most_rays=4096,
         )
     )
     """Optimiser and batch."""
@@ -128,18 +129,23 @@ class StaticNerf(nn.Module):
 
 
 def load_scene(config: StaticConfig) -> PosedImages:
-    """Loads the pictures of one state of a data set; raises UserError where none of them is there to learn from."""
+    """Loads the pictures of one state of a data set; raises UserError where none of them is there to learn from.
+
+    A box that neither the data set nor the config states is trimmed to what the training pictures see.
+    """
     set_threads(config.threads)
     seed_everything(config.seed)
     data = load_posed_images(Path(config.dataset), config.image_size or None)
     data = data.select([r for r, f in enumerate(data.frames) if (f.branch, f.step) == (config.branch, config.step)])
-    data = data.with_test_every(config.test_every).with_scene_box(config.scene_box)
-    if not len(data.split("train")):
+    data = data.with_test_every(config.test_every)
+    train = data.split("train")
+    if not len(train):
         raise UserError(
             f"{config.dataset}: has no training picture of branch {config.branch}, step {config.step}; "
             "give the branch and step of some, or another test_every"
         )
-    return data
+    data = data.with_scene_box(config.scene_box)
+    return data if data.box_told else replace(data, scene_box=visible_box(train.cameras, data.scene_box))
 
 
 def train_static(config: StaticConfig) -> dict:
@@ -149,8 +155,8 @@ def train_static(config: StaticConfig) -> dict:
     """
     data = load_scene(config)
     train, test = data.split("train"), data.split("test")
-    full, reason = fitted_to_scene(config, train.images, train.cameras, data.scene_box)
-    say(reason)
+    begun = begun_config(config.folder / FIELD, config.overwrite)
+    full = with_capacity(config, begun, train.images, train.cameras, data.scene_box)
     torch.manual_seed(config.seed)
     nerf = StaticNerf(full, data.scene_box)
     fit_static(full, nerf, train)
@@ -159,7 +165,6 @@ def train_static(config: StaticConfig) -> dict:
     results = {
         "seconds": cost["seconds"],
         "peak_memory_mb": cost["peak_memory_mb"],
-        "capacity": reason,
         "field": plain_config(full.field),
         "training_pictures": len(train),
         "test_pictures": len(test),
@@ -173,21 +178,30 @@ def train_static(config: StaticConfig) -> dict:
 
 def fit_static(config: StaticConfig, nerf: StaticNerf, train: PosedImages) -> None:
     """Trains a field on pictures in the run's folder; averaged weights are saved there."""
-    pictures = PictureRays.of(train)
-    fit = FieldFit(nerf.field, nerf.occupancy, replace(config.fit, seed=config.seed), config.march, config.steps)
-
-    def draw_batch(step: int, count: int, generator: torch.Generator) -> RayBatch:
-        return RayBatch(*pictures.rays(*pictures.draw(count, generator)))
-
+    draw_batch = batches_of(train)
+    fit = new_fit(config, nerf, config.steps)
     plain = plain_config(config)
-    names = ("dataset", "image_size", "branch", "step", "scene_box", "seed", "field", "occupancy", "march", "fit")
-    record, folder = {name: plain[name] for name in (*names, "steps")}, config.folder / FIELD
+    pictures = ("dataset", "image_size", "branch", "step", "test_every", "scene_box")
+    record = {name: plain[name] for name in (*pictures, "seed", "steps", "field", "occupancy", "march", "fit")}
+    record["box"] = [round(side, 4) for side in train.scene_box.flatten().tolist()]
+    folder = config.folder / FIELD
     with TrainingRun(
         folder, record, config.steps, fit.objects, None, config.save_every, overwrite=config.overwrite
     ) as run:
         fit_field(fit, draw_batch, lambda step: None, run)
         with fit.average.applied():
             save_model(folder, nerf, run)
+
+
+def new_fit(config: StaticConfig, nerf: StaticNerf, steps: int) -> FieldFit:
+    """Returns a fit of a field that has not begun."""
+    return FieldFit(nerf.field, nerf.occupancy, replace(config.fit, seed=config.seed), config.march, steps)
+
+
+def batches_of(train: PosedImages) -> DrawBatch:
+    """Returns what draws the rays and colours of a step."""
+    pictures = PictureRays.of(train)
+    return lambda step, count, generator: RayBatch(*pictures.rays(*pictures.draw(count, generator)))
 
 
 def held_out_psnr(nerf: StaticNerf, test: PosedImages) -> float:

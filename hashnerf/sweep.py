@@ -171,7 +171,7 @@ def load_sweep(path: Path) -> Sweep:
     pareto = {}
     for name, values in (data.get("pareto") or {}).items():
         _check_known(name, knobs, f"{path}: pareto")
-        pareto[name] = tuple(_as_value(value) for value in values)
+        pareto[name] = _values(values, knobs[name].keys, f"{path}: pareto.{name}")
     sweep = Sweep(
         name=path.stem,
         title=data["title"],
@@ -189,6 +189,10 @@ def load_sweep(path: Path) -> Sweep:
         pareto=pareto,
         presets={name: float(allowed) for name, allowed in data.get("presets", {}).items()},
     )
+    names = [row.name for row in sweep.rows()]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise UserError(f"{path}: two rows would share the folder {twice[0]}; rename a knob or change its values")
     if len(sweep.rows()) > GREATEST_PRODUCT:
         raise UserError(f"{path}: makes {len(sweep.rows())} rows; give fewer values, {GREATEST_PRODUCT} rows at most")
     return sweep
@@ -205,13 +209,17 @@ def _figure(data: Any, where: str) -> Figure:
 def _knob(data: Any, where: str) -> Knob:
     _check_keys(data, ("key", "keys", "values", "stage"), ("values",), where)
     keys = tuple(data["keys"]) if "keys" in data else (data.get("key"),)
-    values = tuple(_as_value(value) for value in data["values"])
-    if None in keys or not values:
+    if None in keys or not data["values"]:
         raise UserError(f"{where}: needs a key (or keys) and at least one value")
+    return Knob(keys, _values(data["values"], keys, where), data.get("stage", ""))
+
+
+def _values(given: Any, keys: Sequence[str], where: str) -> tuple[tuple[Any, ...], ...]:
+    values = tuple(_as_value(value) for value in given)
     for value in values:
         if len(value) != len(keys):
             raise UserError(f"{where}: value {list(value)} is not one for each of {', '.join(keys)}")
-    return Knob(keys, values, data.get("stage", ""))
+    return values
 
 
 def _as_value(value: Any) -> tuple[Any, ...]:

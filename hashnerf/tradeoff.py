@@ -52,6 +52,7 @@ def run_tradeoff(
         if name not in known:
             raise UserError(f"sweeps: {name!r} is not in {config.folder}; {nearest(name, list(known))}")
     loaded = {name: load_sweep(path) for name, path in known.items()}  # all, before hours of work
+    whole_runs_section(Path(config.whole_runs))
     failed = []
     for name in config.sweeps or known:
         results = run_sweep(loaded[name], Path(config.runs), scripts, config.workers, say, config.most)

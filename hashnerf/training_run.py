@@ -37,7 +37,7 @@ from hashnerf.checkpoints import (
     sweep_leftovers,
     unpack,
 )
-from hashnerf.command_line import config_changes, plain_config, save_config
+from hashnerf.command_line import config_changes, plain_config, read_yaml, save_config
 from hashnerf.errors import UserError
 from hashnerf.progress import StepProgress, say
 from hashnerf.random_state import capture_random_state, restore_random_state
@@ -311,6 +311,13 @@ class TrainingRun:
             f"{self.folder}: stopped by {name} and saved after step {self.completed}; run the same command to continue."
         )
         raise SystemExit(128 + self._signal)
+
+
+def begun_config(folder: Path, overwrite: bool = False) -> dict[str, Any] | None:
+    """The stored config of a training that has saved something and is not to start over, else None."""
+    if overwrite or not checkpoint_steps(folder / CHECKPOINTS) or not (folder / CONFIG).is_file():
+        return None
+    return read_yaml(folder / CONFIG)
 
 
 def run_folder(root: Path, name: str) -> Path:

@@ -1,7 +1,7 @@
 """Which part of a box cameras see."""
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from hashnerf.cameras import Cameras, project
@@ -10,6 +10,8 @@ LATTICE = 24
 """Points along each side of a box that is to be trimmed."""
 VIEWS = 2
 """Pictures that must show a place before anything can be known of its depth."""
+MOST_CAMERAS = 256
+"""Cameras that are asked, evenly chosen."""
 
 
 def box_lattice(box: Float[Tensor, "2 3"], side: int) -> Float[Tensor, "points 3"]:
@@ -32,13 +34,20 @@ def visible_points(
     return inside.view(len(cameras), -1), depth.view(len(cameras), -1)
 
 
+def evenly(count: int, most: int) -> Int[Tensor, " chosen"]:
+    """Returns `most` of the numbers below `count`, evenly spaced, or all if there are no more."""
+    return torch.linspace(0, count - 1, min(count, most)).round().long()
+
+
 def visible_box(cameras: Cameras, box: Float[Tensor, "2 3"]) -> Float[Tensor, "2 3"]:
-    """Returns the part of a box (metres) that at least two cameras see (one, if there is but one).
+    """Returns the part of a box (metres) that at least two of the cameras see (one, if there is but one).
 
     The whole box where no point of a lattice is seen: a box thinner than the gaps between lines of sight.
     """
     points = box_lattice(box, LATTICE)
-    views = visible_points(cameras, points)[0].sum(dim=0)
+    views = torch.zeros(len(points), dtype=torch.int64, device=points.device)
+    for index in evenly(len(cameras), MOST_CAMERAS).split(1):  # all at once would be gigabytes
+        views += visible_points(cameras.select(index), points)[0][0]
     seen = points[views >= min(VIEWS, len(cameras))]
     if not len(seen):
         return box

@@ -1,13 +1,15 @@
-"""Profile the training of a radiance field, part by part and kernel by kernel; adds a section to the page.
+"""Profile the training of a radiance field, part by part and kernel by kernel, in a run of its own.
+
+Writes the pipeline's section of docs/results/profile.md.
 
 python scripts/profile_training.py aerial2ground --config configs/aerial2ground/fast.yaml --reconstruction.steps 60
 python scripts/profile_training.py carff --config configs/carff/fast.yaml --nerf.steps 60      # after train_pcvae.py
-
-Trains in a run of its own (`--name`), so that no other one is touched.
 """
 
 import shlex
+import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from aerial2ground.config import AerialConfig
@@ -32,14 +34,16 @@ def main() -> None:
         raise UserError(f"{name or 'nothing'}: is no pipeline; say scripts/profile_training.py {'|'.join(PIPELINES)}")
     config_class, train = PIPELINES[name]
     config = parse_config(config_class, sys.argv[2:], description="Profile the training of a radiance field.")
-    found = profile_training(lambda: train(config))
-    if not found.steps:
-        raise UserError(f"{config.folder}: is trained already; give --overwrite true, or another --name")
+    own = replace(config, name=f"{config.name}_profile", overwrite=True)
+    if (config.folder / "pcvae").is_dir():
+        shutil.copytree(config.folder / "pcvae", own.folder / "pcvae", dirs_exist_ok=True)
+    found = profile_training(lambda: train(own))
     command = shlex.join(["python", "scripts/profile_training.py", *sys.argv[1:]])
     lines = [f"\n## {name}, {found.steps} steps\n", f"`{command}`; seed {config.seed}; {machine()}; {commit()}.\n"]
     lines += [*table_lines(parts_table(found)), "", *table_lines(kernels_table(found))]
-    text = PAGE.read_text(encoding="utf-8") if PAGE.is_file() else HEAD
-    PAGE.write_text(text + "\n".join(lines) + "\n", encoding="utf-8")
+    sections = PAGE.read_text(encoding="utf-8").split("\n## ") if PAGE.is_file() else [HEAD]
+    kept = [part for part in sections if not part.startswith(f"{name},")]
+    PAGE.write_text("\n## ".join(kept) + "\n".join(lines) + "\n", encoding="utf-8")
     print("\n".join(lines))
 
 

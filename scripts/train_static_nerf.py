@@ -8,7 +8,7 @@ import json
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from hashnerf.command_line import parse_config, read_yaml, run_main
+from hashnerf.command_line import load_config, parse_config, run_main
 from hashnerf.errors import UserError
 from hashnerf.progress import say
 from hashnerf.static_budget import within_seconds
@@ -29,7 +29,7 @@ class ScriptConfig(StaticConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.max_seconds < 0:
-            raise UserError(f"max_seconds is {self.max_seconds:g}; give seconds, or 0 for no limit")
+            raise UserError(f"max_seconds is {self.max_seconds:g}; give a number of seconds, or 0 for no limit")
 
 
 def main() -> None:
@@ -37,7 +37,7 @@ def main() -> None:
     told = parse_config(ScriptConfig, description="A radiance field of posed photographs.")
     config = StaticConfig(**{field.name: getattr(told, field.name) for field in fields(StaticConfig)})
     if told.max_seconds:
-        presets = {name: read_yaml(CONFIGS / f"{name}.yaml") for name in PRESETS}
+        presets = {name: load_config(StaticConfig, CONFIGS / f"{name}.yaml").steps for name in PRESETS}
         config, reason = within_seconds(config, presets, told.max_seconds)
         say(reason)
     print(json.dumps(train_static(config), indent=1))

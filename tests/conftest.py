@@ -34,12 +34,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(autouse=True)
 def autocast(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Runs a numbered row under the autocast asked for: what must stay float32 stays so, whatever users put around."""
+    """Runs a numbered row under the autocast asked for: what must stay float32 stays so, whatever users put around.
+
+    Without autocast's cache of cast weights: whole trainings run in here, and the cache would go on handing out weights
+    from before their first step. Trainings of the project turn autocast off for themselves, with the cache or without.
+    """
     asked = request.config.getoption("autocast")
     if not asked or not request.node.get_closest_marker("numeric"):
         yield
         return
-    # without the cache: rows train networks, and it would hand out copies of weights from before the first step
     with torch.autocast("cpu", dtype=getattr(torch, asked), cache_enabled=False):
         yield
 

@@ -29,6 +29,13 @@ def test_as_many_futures_as_fit(tiny_evaluation, monkeypatch, capsys):
         samples_within(model, 5.0)
 
 
-def test_real_decisions_are_timed(tiny_evaluation, monkeypatch):
-    monkeypatch.setattr(decision_budget, "CALLS", 2)
-    assert samples_within(tiny_evaluation.model, 1e6, {"few": 2, "more": 3}) == 3
+def test_what_is_timed_are_real_decisions(tiny_evaluation, monkeypatch):
+    decided = []
+
+    def p95(function, calls):
+        decided.append(function())
+        return 1.0
+
+    monkeypatch.setattr(decision_budget, "p95_ms", p95)
+    assert samples_within(tiny_evaluation.model, 100.0, {"few": 2, "more": 3}) == 3
+    assert [len(decisions) for decisions in decided] == [1, 1] and hasattr(decided[0][0], "hazard_probability")

@@ -12,8 +12,8 @@ from carff.nerf import NerfConfig
 from carff.nerf_training import training_views
 from carff.pcvae import PcvaeConfig
 from carff.scene_info import scene_info
-from carff.stages import device_of, encode_views, new_pcvae, run_mdn, run_nerf, settled, with_capacity
-from hashnerf.command_line import save_config
+from carff.stages import device_of, encode_views, new_pcvae, run_mdn, run_nerf, settled
+from hashnerf.command_line import plain_config, save_config
 from hashnerf.errors import UserError
 from hashnerf.field import FieldConfig
 from hashnerf.fit import FitConfig
@@ -78,9 +78,23 @@ def test_a_trained_field_goes_on_gently():
     assert further.fresh_share(0) == 1.0 and further.field == config.field
 
 
-def test_capacity_that_is_left_open_is_derived_and_stated_capacity_stays(tiny_data, capsys):
-    opened = FieldConfig(levels=0, log2_table_size=0, finest_resolution=0)
-    config = with_capacity(CarffConfig(nerf=NerfConfig(field=opened)), tiny_data)
-    assert config.nerf.field.levels > 0 and config.nerf.march == NerfConfig().march
-    assert f"{config.nerf.field.levels} levels" in capsys.readouterr().err
-    assert with_capacity(config, tiny_data) is config
+def test_capacity_that_is_left_open_is_derived_once(tmp_path, monkeypatch, tiny_data, tiny_table, capsys):
+    torch.manual_seed(0)
+    small = PcvaeConfig(encoder=EncoderConfig(width=8))
+    opened = NerfConfig(field=FieldConfig(levels=0, log2_table_size=0, finest_resolution=0))
+    config = CarffConfig(runs=str(tmp_path), device="cpu", pcvae=small, nerf=opened)
+    trained = []
+    monkeypatch.setattr(stages, "load_data", lambda _: (tiny_data, tiny_table))
+    monkeypatch.setattr(
+        stages, "_pcvae_of_this_config", lambda *_: new_pcvae(config, scene_info(tiny_data, tiny_table))
+    )
+    monkeypatch.setattr(stages, "train_nerf", lambda own, *rest: trained.append(own))
+    config.folder.mkdir()
+    run_nerf(config)
+    assert trained[0].field.levels > 0 and trained[0].march == NerfConfig().march
+    assert f"{trained[0].field.levels} levels" in capsys.readouterr().err
+    # a training that was begun keeps what it was begun with, whatever the pictures say now
+    begun = replace(trained[0], field=replace(trained[0].field, levels=3))
+    monkeypatch.setattr(stages, "begun_config", lambda *_: {"nerf": plain_config(begun)})
+    run_nerf(config)
+    assert trained[1].field.levels == 3 and "capacity" not in capsys.readouterr().err

@@ -7,7 +7,15 @@ from dataclasses import field as option
 import pytest
 import torch
 
-from hashnerf.capacity import enlargement, filled_from, fitted_to_scene, is_open, measure_scene, structured_share
+from hashnerf.capacity import (
+    enlargement,
+    filled_from,
+    fitted_to_scene,
+    is_open,
+    measure_scene,
+    structured_share,
+    with_capacity,
+)
 from hashnerf.command_line import plain_config
 from hashnerf.field import Field, FieldConfig
 from hashnerf.marching import MarchSettings, intervals
@@ -57,6 +65,20 @@ def test_pixels_can_grow_until_the_pictures_suffer():
     checks = ((torch.arange(64)[:, None] // 4 + torch.arange(64) // 4) % 2 * 200).to(torch.uint8)
     assert enlargement(checks[None, :, :, None].expand(1, 64, 64, 3)) == 1
     assert enlargement(noise(1, 64)) == 1
+
+
+def test_a_small_thing_keeps_its_detail():
+    picture = torch.full((1, 128, 128, 3), 90, dtype=torch.uint8)
+    picture[0, 40:52, 40:52] = noise(1, 12)[0]
+    # over the whole picture pixels of twice the size would lose little
+    assert enlargement(picture) == 1
+
+
+def test_a_thin_box_has_not_more_occupancy_cells_than_others():
+    wide = torch.tensor([[-500.0, -500.0, 0.0], [500.0, 500.0, 0.01]])
+    far = downward(*[(0.0, 0.0)] * 4)
+    full, _ = fitted_to_scene(Settings(), noise(4, 20), far, wide)
+    assert math.prod(OccupancyGrid(full.occupancy, wide).shape) <= 2**19
 
 
 def test_pictures_smaller_than_any_enlargement():
@@ -119,6 +141,17 @@ def test_a_trained_fields_settings_come_back_from_its_config():
     assert again == full
     stated = Settings(field=FieldConfig(levels=0, log2_table_size=12, finest_resolution=0))
     assert filled_from(stated, plain_config(full)).field == replace(full.field, log2_table_size=12)
+
+
+def test_what_was_stored_is_taken_and_nothing_is_derived_anew(capsys):
+    data = posed_scene()
+    pictures = (data.images, data.cameras, data.scene_box)
+    first = with_capacity(Settings(), None, *pictures)
+    assert "capacity: pixels cover" in capsys.readouterr().err
+    stored = plain_config(replace(first, field=replace(first.field, levels=2, initial_thickness=0.5)))
+    again = with_capacity(Settings(), stored, *pictures)
+    assert (again.field.levels, again.field.initial_thickness) == (2, 0.5)
+    assert with_capacity(first, stored, *pictures) is first and not capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["levels", "log2_table_size", "finest_resolution"])

@@ -23,17 +23,22 @@ def config(tmp_path, monkeypatch):
     return StaticConfig(runs=str(tmp_path), steps=100, threads=1, test_every=0, fit=fit)
 
 
-def test_it_learns_what_it_has_not_seen_and_says_what_it_chose(config):
+def test_it_learns_what_it_has_not_seen_and_says_what_it_chose(config, capsys, monkeypatch):
     found = train_static(config)
     assert found["psnr_db"] > found["psnr_one_colour_db"] + 2
     assert (found["training_pictures"], found["test_pictures"]) == (18, 6)
-    assert f"{found['field']['levels']} levels" in found["capacity"]
+    assert f"{found['field']['levels']} levels" in capsys.readouterr().err
     assert json.loads((config.folder / "reconstruction.json").read_text()) == found
     assert Image.open(config.folder / "held_out.png").size == (3 * 24, 2 * 24)
     stored = load_config(StaticConfig, config.folder / "config.yaml")
     assert stored.field.levels == found["field"]["levels"] > 0 and stored.march.candidates > 0
     # a finished run is measured again, not trained again
     assert train_static(config)["psnr_db"] == found["psnr_db"]
+    # pictures that were learned from are no held-out ones
+    more = posed_scene(count=24, size=24, test_every=3)
+    monkeypatch.setattr(static_scene, "load_posed_images", lambda folder, size: more)
+    with pytest.raises(UserError, match="test_every: 0 -> 3"):
+        train_static(replace(config, test_every=3))
 
 
 def test_the_pictures_of_one_state_are_chosen(config, monkeypatch):
@@ -43,6 +48,16 @@ def test_the_pictures_of_one_state_are_chosen(config, monkeypatch):
     assert [frame.camera for frame in load_scene(replace(config, branch=1)).frames] == [1, 3, 5, 7]
     with pytest.raises(UserError, match="no training picture of branch 7, step 0"):
         load_scene(replace(config, branch=7))
+
+
+def test_a_box_that_nobody_stated_is_trimmed_to_what_is_seen(config, monkeypatch):
+    data = posed_scene()
+    loose = replace(data, scene_box=data.scene_box * 20, box_told=False)
+    monkeypatch.setattr(static_scene, "load_posed_images", lambda folder, size: loose)
+    trimmed = load_scene(config).scene_box
+    assert (trimmed[0] > loose.scene_box[0]).any() and (trimmed >= loose.scene_box[0]).all()
+    told = (-1.0, -1.0, -1.0, 1.0, 1.0, 1.0)
+    assert load_scene(replace(config, scene_box=told)).scene_box.flatten().tolist() == list(told)
 
 
 def test_one_colour_by_hand():

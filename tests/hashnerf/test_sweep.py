@@ -99,3 +99,14 @@ def test_a_file_that_is_missing_is_a_sentence(tmp_path):
     with pytest.raises(UserError, match="no such config file"):
         load_sweep(tmp_path / "none.yaml")
     assert write_sweep(tmp_path).is_file()
+
+
+def test_a_combination_gives_a_value_for_every_key(tmp_path):
+    knobs = {"size": {"keys": ["a.w", "a.h"], "values": [[4, 3], [8, 6]]}}
+    with pytest.raises(UserError, match=r"pareto.size: value \[8\] is not one for each of a.w, a.h"):
+        small_sweep(tmp_path, knobs=knobs, pareto={"size": [[8]]})
+
+
+def test_rows_do_not_share_a_folder(tmp_path):
+    with pytest.raises(UserError, match="two rows would share the folder steps_1"):
+        small_sweep(tmp_path, knobs={"steps": {"key": "steps", "values": [2, 1, -1]}}, pareto=None)
