@@ -1,11 +1,13 @@
 """Choosing what a budget allows: the most accurate preset whose cost, as measured here and now, fits."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
 
 from hashnerf.errors import UserError
+from hashnerf.report_tables import Table
 
 MARGIN = 1.3
 """Measured costs count this many times: a machine that others use, too, is not always as fast as a moment ago."""
@@ -35,3 +37,25 @@ def p95_ms(function: Callable[[], object], calls: int) -> float:
         if call >= 2:
             taken.append(1000 * (perf_counter() - start))
     return float(np.quantile(taken, 0.95))
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A budget, what was chosen within it, and what that took."""
+
+    budget: float
+    chosen: str
+    taken: float
+
+
+def trials_table(trials: Sequence[Trial], unit: str) -> Table:
+    """Returns one row a budget: what was chosen, what it took at least and at most, and how often it fitted."""
+    rows = []
+    for budget in dict.fromkeys(trial.budget for trial in trials):
+        own = [trial for trial in trials if trial.budget == budget]
+        kept = sum(trial.taken <= budget for trial in own)
+        taken = [trial.taken for trial in own]
+        chosen = ", ".join(dict.fromkeys(trial.chosen for trial in own))
+        verdict = f"{kept} of {len(own)}{'' if kept == len(own) else ' (**missed**)'}"
+        rows.append((f"{budget:g} {unit}", chosen, f"{min(taken):.3g} to {max(taken):.3g} {unit}", verdict))
+    return Table(("budget", "chosen", "took", "within the budget"), tuple(rows))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hashnerf.budget import MARGIN, best_within, p95_ms
+from hashnerf.budget import MARGIN, Trial, best_within, p95_ms, trials_table
 from hashnerf.errors import UserError
 
 COSTS = {"fast": 10.0, "balanced": 40.0, "accurate": 160.0}
@@ -41,3 +41,16 @@ def test_95_per_cent_of_the_calls_count_and_the_first_two_do_not(monkeypatch):
 
     # 20 calls: 18 of 1 ms and 2 of 200 ms; the 95 % quantile lies at rank 0.95 * 19 = 18.05, the 19th of them
     assert p95_ms(call, 20) == pytest.approx(200.0)
+
+
+def test_trials_by_hand():
+    trials = [
+        Trial(10.0, "fast", 7.0),
+        Trial(10.0, "fast", 9.5),
+        Trial(60.0, "fast", 8.0),
+        Trial(60.0, "balanced", 61.0),
+    ]
+    assert trials_table(trials, "s").rows == (
+        ("10 s", "fast", "7 to 9.5 s", "2 of 2"),
+        ("60 s", "fast, balanced", "8 to 61 s", "1 of 2 (**missed**)"),
+    )
