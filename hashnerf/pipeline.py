@@ -5,7 +5,8 @@ by running the same command again: finished stages say so and end at once. Stage
 by side as the members of a *phase*: the phase counts with its wall-clock time, its members are details of it that no
 total adds up.
 
-`timings.json` in the run folder: {"stages": {name: {"seconds", "peak_memory_mb", "within" (members only): phase}}}.
+`timings.json` in the run folder: {"stages": {name: {"seconds", "peak_memory_mb", "processor_seconds", "within" (members
+only): phase}}}. Processor seconds, those of all threads, are what other work on the machine hardly changes.
 """
 
 import json
@@ -78,7 +79,8 @@ def _run_to_its_end(name: str, command: Sequence[str], folder: Path, **streams: 
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode != 0:
         _end_alike(process.returncode)
-    note(folder, name, time.monotonic() - start, _megabytes(usage))
+    seconds = time.monotonic() - start
+    note(folder, name, seconds, _megabytes(usage), processor_seconds=usage.ru_utime + usage.ru_stime)
 
 
 def run_stages_together(
@@ -128,7 +130,14 @@ def timed_phase(name: str, folder: Path) -> Iterator[None]:
         note(folder, name, time.monotonic() - start, peak)
 
 
-def note(folder: Path, name: str, seconds: float, peak_memory_mb: float, within: str = "") -> None:
+def note(
+    folder: Path,
+    name: str,
+    seconds: float,
+    peak_memory_mb: float,
+    within: str = "",
+    processor_seconds: float | None = None,
+) -> None:
     """Adds a stage's cost to the timings; one that was continued adds up. `within` names the phase it belongs to."""
     stages = read_timings(folder)
     earlier = stages.get(name, {"seconds": 0.0, "peak_memory_mb": 0.0})
@@ -136,6 +145,8 @@ def note(folder: Path, name: str, seconds: float, peak_memory_mb: float, within:
         "seconds": round(earlier["seconds"] + seconds, 2),
         "peak_memory_mb": round(max(earlier["peak_memory_mb"], peak_memory_mb), 1),
     }
+    if processor_seconds is not None:
+        stages[name]["processor_seconds"] = round(earlier.get("processor_seconds", 0.0) + processor_seconds, 2)
     if within:
         stages[name]["within"] = within
     folder.mkdir(parents=True, exist_ok=True)
@@ -192,7 +203,8 @@ def _finish(stage: _Running, phase: str, folder: Path) -> None:
             print(f"   {stage.name} | {line}", flush=True)
         _end_alike(stage.process.returncode)
     print(f"   {stage.name}: done in {seconds:.0f} s", flush=True)
-    note(folder, stage.name, seconds, _megabytes(stage.usage), within=phase)
+    used = stage.usage.ru_utime + stage.usage.ru_stime
+    note(folder, stage.name, seconds, _megabytes(stage.usage), phase, used)
 
 
 def _stop(running: Sequence[_Running]) -> None:

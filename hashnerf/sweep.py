@@ -7,7 +7,8 @@ A sweep is a YAML file (`load_sweep`):
     options            {key: value} that every stage gets
     stages             {name: "script.py --key value ..."}, run in order, every one in a process of its own
     shared             {name, options, stages}: a run that is made once; every row starts from a copy of it
-    timed              the stages whose seconds and peak memory are a row's `time` and `memory`
+    timed              the stages whose processor seconds (of all threads; other work on the machine hardly changes
+                       them) and peak memory are a row's `time` and `memory`
     figures            {name: {file, key, unit, better: more | less}}: where results are, a file in the run's folder and
                        a dotted key in it, in which `*` is the mean over all there is
     cost, accuracy     the names of two figures; the cost may be `time`

@@ -102,9 +102,10 @@ def provenance_line(sweep: Sweep, results: Sequence[Result]) -> str:
 def page(sections: Sequence[str], command: str, whole_runs: str) -> str:
     """Returns the whole page."""
     about = (
-        f"`{command}` writes this page. Every row is trained and measured in processes of its own; `time` and `memory` "
-        "(peak of the largest process) are those of the stages that are named. The runs are short, so that a row takes "
-        "about a minute: what counts is how rows compare, not the level that they reach."
+        f"`{command}` writes this page. Every row is trained and measured in processes of its own; `time` (of all "
+        "processors: other work on the machine hardly changes it) and `memory` (peak of the largest process) are those "
+        "of the stages that are named. The runs are short, so that a row takes about a minute: what counts is how rows "
+        "compare, not the level that they reach."
     )
     return "\n\n".join(["# Speed against accuracy", about, *sections, whole_runs]).rstrip() + "\n"
 

@@ -144,7 +144,7 @@ def _figures(sweep: Sweep, folder: Path) -> dict[str, float]:
     timings = read_timings(folder)
     own = [timings[stage] for stage in sweep.timed]
     peak = max((one["peak_memory_mb"] for one in own), default=0.0)
-    figures = {TIME: sum(one["seconds"] for one in own), MEMORY: peak}
+    figures = {TIME: sum(one["processor_seconds"] for one in own), MEMORY: peak}
     return figures | {name: figure_of(folder, figure) for name, figure in sweep.figures.items() if figure.file}
 
 

@@ -47,6 +47,16 @@ def test_a_stage_is_run_and_noted(tmp_path):
     run_stage("write", ["-c", f"open({str(tmp_path / 'done')!r}, 'w').write('x' * 10)"], tmp_path)
     assert (tmp_path / "done").read_text() == "x" * 10
     assert read_timings(tmp_path)["write"]["peak_memory_mb"] > 1
+    assert read_timings(tmp_path)["write"]["processor_seconds"] > 0
+
+
+def test_processor_time_adds_up_and_waiting_is_none(tmp_path):
+    for _ in range(2):
+        note(tmp_path, "a", 5.0, 1.0, processor_seconds=0.25)
+    assert read_timings(tmp_path)["a"]["processor_seconds"] == 0.5
+    run_stage("sleep", ["-c", "import time; time.sleep(1.5)"], tmp_path)
+    slept = read_timings(tmp_path)["sleep"]
+    assert slept["processor_seconds"] < slept["seconds"]
 
 
 def test_a_quiet_stage_prints_to_its_log(tmp_path, capfd):

@@ -32,7 +32,8 @@ def test_every_row_is_run_and_measured(tmp_path):
 
 
 def test_time_and_memory_are_those_of_the_named_stages(tmp_path, monkeypatch):
-    timings = {"train": {"seconds": 3.0, "peak_memory_mb": 50.0}, "measure": {"seconds": 9.0, "peak_memory_mb": 70.0}}
+    train = {"seconds": 8.0, "processor_seconds": 3.0, "peak_memory_mb": 50.0}
+    timings = {"train": train, "measure": {"seconds": 9.0, "processor_seconds": 9.0, "peak_memory_mb": 70.0}}
     monkeypatch.setattr(sweep_runs, "read_timings", lambda folder: timings)
     results, _ = run(tmp_path, small_sweep(tmp_path), most=1)
     assert (results[0].figures[TIME], results[0].figures[MEMORY]) == (3.0, 50.0)
