@@ -164,7 +164,7 @@ def test_without_a_compiler_the_field_still_works(monkeypatch, caplog):
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("levels", 0),
+        ("levels", -1),
         ("features_per_level", 3),
         ("log2_table_size", 3),
         ("finest_resolution", 8),

@@ -288,13 +288,13 @@ def test_no_guide_can_be_asked_where_every_interval_is_taken():
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("candidates", 0),
+        ("candidates", -1),
         ("samples", -1),
         ("samples_per_opacity", 0.0),
         ("samples_per_opacity", 1e300),
         ("guided_per_opacity", -1.0),
         ("guided_per_opacity", math.inf),
-        ("even_distance", 0.0),
+        ("even_distance", -1.0),
         ("near", -1.0),
         ("stop_transmittance", 1.0),
     ],
