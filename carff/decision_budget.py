@@ -9,8 +9,8 @@ from carff.model import CarffModel
 from hashnerf.budget import best_within, p95_ms
 from hashnerf.progress import say
 
-SAMPLES: Mapping[str, int] = {"fast": 5, "balanced": 10, "accurate": 35}
-"""Sampled futures of the presets (docs/results/speed_accuracy.md, decisions)."""
+SAMPLES: Mapping[str, int] = {"fast": 5, "balanced": 10}
+"""Sampled futures of the presets; 35 decide no better than 10 (docs/results/speed_accuracy.md, decisions)."""
 CALLS = 40
 
 
