@@ -48,7 +48,8 @@ def study(name: str, arguments: list[str]) -> None:
     """Run the study of that name and write its page."""
     config_class, part, description = STUDIES[name]
     config = parse_config(config_class, arguments, description=description)
-    command = shlex.join(["python", "scripts/benchmark.py", name, *arguments])
+    told = [Path(word).name if Path(word).is_absolute() else word for word in arguments]  # where data lie is private
+    command = shlex.join(["python", "scripts/benchmark.py", name, *told])
     part.write_study(part.run_study(config), config, f"`{command}`; seed 0; {machine()}; {commit()}.")
 
 
