@@ -14,10 +14,8 @@ Written by `python scripts/publish_results.py --runs '[RUN, ...]'` from the `rep
 is typed by hand. A target that was missed says so. The full reports hold the figures, intervals and pictures. What was
 tried and what limits the figures: [notes.md](notes.md). The figures of aerial2ground:
 [aerial2ground.md](aerial2ground.md). Of the core: speed against accuracy ([speed_accuracy.md](speed_accuracy.md)),
-capacity from the pictures ([capacity.md](capacity.md)), real photographs ([photographs.md](photographs.md)), budgets
-([budgets.md](budgets.md)), where the time goes ([profile.md](profile.md)), the numbered rows
-([numerics.md](numerics.md)) and what they notice ([planted_faults.md](planted_faults.md)), what was tried
-([core_notes.md](core_notes.md)).
+capacity from the pictures ([capacity.md](capacity.md)), the numbered rows ([numerics.md](numerics.md)) and what they
+notice ([planted_faults.md](planted_faults.md)), what was tried ([core_notes.md](core_notes.md)).
 """
 
 
