@@ -163,7 +163,10 @@ class VitEncoder(nn.Module):
 
 
 def _fastest_products(device_type: str) -> torch.autocast:
-    return torch.autocast(device_type, dtype=torch.bfloat16, enabled=multiplies_bfloat16(device_type))
+    # copies of weights would live as long as the outermost autocast, which may last for the whole training
+    return torch.autocast(
+        device_type, dtype=torch.bfloat16, enabled=multiplies_bfloat16(device_type), cache_enabled=False
+    )
 
 
 def load_vit(model: str) -> nn.Module:

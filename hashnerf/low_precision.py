@@ -27,16 +27,17 @@ def multiplies_bfloat16(device_type: str) -> bool:
 def without_autocast(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
     """Returns a function that computes in the precision of its arguments, whatever autocast around it asks for.
 
-    For geometry and likelihoods, whose products need all digits, and for whole trainings: autocast keeps its copies of
-    weights until the outermost one ends, so that every step after the first would answer with the first one's weights.
+    For geometry and likelihoods, whose products need all digits, and for whole trainings. Autocast keeps its copies of
+    weights until the outermost one ends, and one that is switched off counts, too: were it allowed to, half-precision
+    layers inside would answer with the first step's weights at every later one.
     """
 
     @functools.wraps(function)
     def run(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
-        with torch.autocast("cpu", enabled=False):
+        with torch.autocast("cpu", enabled=False, cache_enabled=False):
             if not torch.cuda.is_available():
                 return function(*arguments, **options)
-            with torch.autocast("cuda", enabled=False):
+            with torch.autocast("cuda", enabled=False, cache_enabled=False):
                 return function(*arguments, **options)
 
     return run

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from carff import encoders
 from carff.encoders import EncoderConfig, build_encoder, load_vit
 from hashnerf.errors import UserError
 
@@ -33,6 +34,19 @@ def test_conv_belief_does_not_depend_on_the_batch():
     assert batch.shape == (6, 8)
     # The convolutions run in bfloat16, whose last bit is 2^-8; their sums may be ordered differently by batch size.
     assert torch.allclose(batch, alone, atol=2e-2)
+
+
+def test_half_precision_layers_follow_their_weights_whatever_autocast_is_around(monkeypatch):
+    monkeypatch.setattr(encoders, "multiplies_bfloat16", lambda device_type: True)
+    torch.manual_seed(0)
+    encoder = build_encoder(EncoderConfig(width=8), 4, 32, 32).eval()
+    first = encoder.trunk[0]
+    with torch.autocast("cpu", enabled=False):  # lasts for a whole training
+        before = encoder(pictures(1))
+        with torch.no_grad():
+            first.weight.neg_()
+            first.bias.neg_()
+        assert not torch.equal(encoder(pictures(1)), before)
 
 
 def test_jitter_only_with_a_generator():

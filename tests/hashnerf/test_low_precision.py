@@ -39,3 +39,21 @@ def test_without_autocast_products_keep_their_precision(dtype):
         assert torch.equal(product(a, b), product(a, other=b)) and product(a, b).dtype == torch.float32
         assert (a @ b).dtype == dtype, "only inside the function"
     assert torch.equal(product(a, b), a @ b)
+
+
+def test_half_precision_layers_inside_follow_their_weights():
+    layer, x = torch.nn.Linear(4, 4, bias=False), torch.ones(1, 4)
+
+    def seen():
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            return layer(x).detach()
+
+    @without_autocast
+    def two_steps():
+        before = seen()
+        with torch.no_grad():
+            layer.weight.mul_(2)
+        return before, seen()
+
+    before, after = two_steps()
+    assert torch.equal(after, 2 * before)
