@@ -13,6 +13,7 @@ from jaxtyping import Int
 from lightning_fabric import Fabric
 from torch import Tensor
 
+from carff.beliefs import require_latents
 from carff.config import CarffConfig
 from carff.dataset_summary import limits
 from carff.mdn_training import build_mdn, train_mdn
@@ -163,9 +164,10 @@ def load_pcvae(config: CarffConfig, scene: SceneInfo) -> tuple[Pcvae, dict]:
 
 
 def encode_views(pcvae: Pcvae, data: PosedImages, view_index: Int[Tensor, "states cameras"]) -> ViewBeliefs:
-    """Encodes every view in the index."""
+    """Encodes every view in the index; raises UserError where the encoder's answers are of no use to later stages."""
     valid = view_index >= 0
     belief = pcvae.encode(data.images[view_index[valid]])
+    require_latents(belief.mean, "means of the encoded views")
     shape = (*view_index.shape, pcvae.latent_size)
     means, logvars = torch.zeros(shape), torch.zeros(shape)
     means[valid], logvars[valid] = belief.mean.cpu(), belief.logvar.cpu()

@@ -37,6 +37,16 @@ def test_a_missing_view_is_invalid_and_the_others_are_in_place(tiny_data, tiny_t
     assert torch.allclose(beliefs.means[3, 2], alone.mean[0], atol=2e-2)
 
 
+def test_an_encoder_that_broke_down_is_refused_before_the_next_stage(tiny_data, tiny_table):
+    torch.manual_seed(0)
+    config = CarffConfig(device="cpu", pcvae=PcvaeConfig(encoder=EncoderConfig(width=8)))
+    pcvae = new_pcvae(config, scene_info(tiny_data, tiny_table))
+    with torch.no_grad():
+        pcvae.encoder.head[-1].bias[0] = 1e18
+    with pytest.raises(UserError, match="means of the encoded views: row 0"):
+        encode_views(pcvae, tiny_data, tiny_table.views)
+
+
 def test_a_pcvae_of_another_config_is_refused_by_key(tmp_path, monkeypatch, tiny_data, tiny_table):
     monkeypatch.setattr(stages, "load_data", lambda _: (tiny_data, tiny_table))
     config = CarffConfig(runs=str(tmp_path), device="cpu")
