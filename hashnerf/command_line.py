@@ -21,6 +21,7 @@ import jsonargparse
 import yaml
 
 from hashnerf.errors import UserError
+from hashnerf.heap import keep_freed_memory
 
 Config = TypeVar("Config")
 
@@ -122,6 +123,7 @@ def run_main(main: Callable[[], int | None]) -> NoReturn:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="backslashreplace")  # a terminal that is not UTF-8 must not end a run
+    keep_freed_memory()
     try:
         status = main() or 0
         sys.stdout.flush()

@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import torch
 
 from hashnerf.errors import UserError
+from hashnerf.heap import keep_freed_memory
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -93,6 +94,7 @@ def _start(make: Callable[[], Callable[[Any], Any]]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     threading.Thread(target=_leave_with_parent, daemon=True).start()
+    keep_freed_memory()
     _make = make
 
 
