@@ -150,15 +150,18 @@ def _look_up(table: Tensor, index: Tensor, features: int) -> list[Tensor]:
 
 
 def _spread(x: Tensor, gradient: Tensor, *lattice) -> tuple[Tensor, Tensor]:
-    """Return the table entries [8, n] that a point's gradient goes to and its eight shares [features, 8, n]."""
+    """Return the table entries [8, n] that a point's gradient goes to and its eight shares [features / 2, 8, n, 2]."""
     indices, weights = _corners_one_by_one(x, *lattice)
-    return torch.stack(indices), gradient[:, None] * torch.stack(weights)
+    weight = torch.stack(weights)
+    pairs = zip(gradient[0::2], gradient[1::2])
+    return torch.stack(indices), torch.stack([torch.stack([a * weight, b * weight], dim=-1) for a, b in pairs])
 
 
 def _spread_eager(x: Tensor, gradient: Tensor, *lattice) -> tuple[Tensor, Tensor]:
     """The same without a compiler."""
     index, weight = _corners(x, *lattice)
-    return index, gradient[:, None] * weight
+    shares = gradient[:, None] * weight
+    return index, torch.view_as_real(torch.complex(shares[0::2], shares[1::2]))
 
 
 def _slope(x: Tensor, gradient: Tensor, table: Tensor, *lattice) -> Tensor:
@@ -177,15 +180,14 @@ def _slope(x: Tensor, gradient: Tensor, table: Tensor, *lattice) -> Tensor:
 
 
 def _add_shares(table: Tensor, index: Tensor, shares: Tensor) -> None:
-    """Add shares [features, m] to the entries of a table in place; pairs of features travel as one complex number.
+    """Add shares [features / 2, 8, n, 2] to entries [8, n] of a table in place; pairs travel as one complex number.
 
     One-dimensional `index_add_` over complex numbers is the fastest scatter of PyTorch on a processor.
     """
-    target = torch.view_as_complex(table.view(-1, 2))
-    pairs = len(shares) // 2
-    for pair in range(pairs):
-        place = index if pairs == 1 else index * pairs + pair
-        target.index_add_(0, place, torch.complex(shares[2 * pair], shares[2 * pair + 1]))
+    target, index = torch.view_as_complex(table.view(-1, 2)), index.view(-1)
+    pairs = len(shares)
+    for pair, numbers in enumerate(torch.view_as_complex(shares)):
+        target.index_add_(0, index if pairs == 1 else index * pairs + pair, numbers.reshape(-1))
 
 
 class _Encode(torch.autograd.Function):
@@ -217,7 +219,7 @@ class _Encode(torch.autograd.Function):
             x, column = planes * (1 / level.cell), columns[number]
             if for_table is not None:
                 index, shares = spread(x, column, *lattice(number))
-                _add_shares(grid.numbers(for_table, level), index.view(-1), shares.view(grid.features, -1))
+                _add_shares(grid.numbers(for_table, level), index, shares)
             if for_positions is not None:
                 slope = _slope(x, column, grid.numbers(table, level), *grid.lattice(number))
                 for_positions += slope * (1 / level.cell)

@@ -80,7 +80,7 @@ def test_k06_an_interrupted_training_takes_the_same_path(tiny_data, tiny_table, 
     resumed = train(tiny_data, tiny_table, tmp_path / "run", 90)
     different = sum(not torch.equal(a, b) for a, b in zip(whole.state_dict().values(), resumed.state_dict().values()))
     lines = [(tmp_path / name / "metrics.jsonl").read_text().splitlines() for name in ("whole", "run")]
-    logged = [[{**json.loads(line), "seconds": 0} for line in part] for part in lines]
+    logged = [[{**json.loads(line), "seconds": 0, "processor_seconds": 0} for line in part] for part in lines]
     different += sum(a != b for a, b in zip(*logged, strict=True))
     assert len({line["kl_weight"] for line in logged[0]}) > 1
     numeric_row("K06", "PC-VAE, 90 steps, stopped at 75: tensors, losses or KL weights that differ", different)

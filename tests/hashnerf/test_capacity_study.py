@@ -61,10 +61,13 @@ def test_a_run_is_read(tmp_path):
     (tmp_path / "reconstruction.json").write_text(json.dumps(results))
     # 100 ms a step in the first half, then 20 and 30 ms; 7, 6 and 5 samples
     lines = [(0, 0.0, 9), (20, 2.0, 8), (40, 4.0, 7), (60, 4.4, 6), (80, 5.0, 5)]
-    text = "\n".join(json.dumps({"step": s, "seconds": t, "samples": n}) for s, t, n in lines)
+    text = "\n".join(
+        json.dumps({"step": s, "seconds": 3 * t, "processor_seconds": t, "samples": n}) for s, t, n in lines
+    )
     (tmp_path / "field" / "metrics.jsonl").write_text(text + "\n")
     fit = read_fit(tmp_path, 80)
     assert fit.step_ms == pytest.approx(25.0) and fit.samples == 6 and fit.psnr_db == 25.0
+    assert fit.seconds == pytest.approx(80 * 5.0 / 81), "of processor, not on the wall"
 
 
 def test_every_scene_is_made_and_fitted_both_ways(tmp_path, monkeypatch):

@@ -5,6 +5,7 @@ import json
 import os
 import signal
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -242,11 +243,19 @@ def test_a_checkpoint_of_another_model_is_refused(tmp_path):
         pass
 
 
+def test_processor_seconds_do_not_count_waiting(tmp_path):
+    with Toy().run(tmp_path) as run:
+        time.sleep(0.3)
+        run.log(0, loss=1.0)
+    line = metrics(tmp_path)[0]
+    assert line["seconds"] >= 0.3 > line["processor_seconds"]
+
+
 def test_metrics_with_values_that_are_not_finite(tmp_path):
     with Toy().run(tmp_path) as run:
         run.log(0, loss=torch.tensor(float("nan")), norm=float("inf"), ok=1, name="x", flag=True, none=None)
     line = metrics(tmp_path)[0]
-    assert line.pop("seconds") >= 0
+    assert line.pop("seconds") >= 0 and line.pop("processor_seconds") >= 0
     assert line == {
         **{"step": 0, "loss": None, "norm": None, "ok": 1, "name": "x", "flag": True, "none": None},
         "non_finite": ["loss", "norm"],
