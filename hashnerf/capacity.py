@@ -49,7 +49,7 @@ OCCUPANCY_CELLS = 1 << 18
 """Cells of the occupancy grid: to ask all of them for their density costs about as much as a few training steps."""
 CANDIDATES_PER_CELL = 1.5
 """Positions tried on the way through an occupancy cell."""
-NEARER = 0.25
+NEARER = 0.05
 """Share of the views of a place that are near enough to show its details."""
 CLEAR = 1e-3
 """Optical thickness of the box before training where it is taken for empty."""

@@ -33,6 +33,7 @@ from hashnerf.weight_average import WeightAverage
 OCCUPANCY, DRAW, STEP = "occupancy grid", "rays and colours", "step"
 BACKWARD, UPDATE = "backward", "optimiser and average"
 EMPTY_TURNS = 16  # while the grid is empty one step in this many samples everywhere, so that the field can come back
+EMPTY_RAYS = 0.5  # share of the first step's rays of a step meanwhile: a background alone needs no more
 
 
 @dataclass(frozen=True)
@@ -269,8 +270,8 @@ class FieldFit:
                 self.optimizer.step()
                 self.average.update()
         a_ray = mean_samples / max(mean_rays, 1)
-        if empty:
-            self.samples_per_ray = 0.0  # no sample to a ray asks for no more rays: as many as at the start
+        if empty:  # no sample to a ray must not ask for ever more rays
+            self.samples_per_ray = self.config.batch_samples / max(EMPTY_RAYS * self.config.rays, 1)
         else:
             self.samples_per_ray = a_ray if not self.samples_per_ray else 0.8 * self.samples_per_ray + 0.2 * a_ray
         return {
