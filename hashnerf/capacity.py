@@ -50,7 +50,8 @@ OCCUPANCY_CELLS = 1 << 18
 CANDIDATES_PER_CELL = 1.5
 """Positions tried on the way through an occupancy cell."""
 NEARER = 0.05
-"""Share of the views of a place that are near enough to show its details."""
+"""Share of the views that are near enough to show details: few, as cameras that stand in a scene see most of it from
+afar (docs/results/core_notes.md)."""
 CLEAR = 1e-3
 """Optical thickness of the box before training where it is taken for empty."""
 COARSE = 8
@@ -67,7 +68,7 @@ class SceneMeasures:
     """What pictures show, metres."""
 
     footprint: float
-    """What a pixel covers of the places it shows, in the nearer quarter of all views of a place."""
+    """What a pixel covers of the places it shows, in the nearest of all views of a place."""
     distance: float
     """From the cameras to the places that they show, the median."""
     enlargement: int

@@ -244,6 +244,8 @@ halves = joined_batch()[fabric.global_rank :: 2]
 gradients, metrics = gradients_of(halves, fabric)
 rows = {f"{i:03d}": gradient for i, gradient in enumerate(gradients)} | {"loss": torch.tensor(metrics["loss"])}
 save_file(rows, sys.argv[1] + str(fabric.global_rank))
+fabric.barrier()
+torch.distributed.destroy_process_group()  # else its threads may outlive the interpreter, which then aborts
 """
 
 
