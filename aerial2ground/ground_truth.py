@@ -5,7 +5,7 @@ a constant sky, and a lawn of one green, would flatter the mean over whole pictu
 that no picture from above shows: only there a prior can tell what pictures cannot. Depth is along the optical axis.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,15 +64,16 @@ class TrueTown:
     origin: Float[Tensor, " 3"]
     """What loading the data set subtracted from all positions, metres."""
 
-    def __call__(self) -> Callable[[Cameras, int], tuple[UInt8[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]]:
-        """Returns a function that gives colour and depth (m, along the axis, 0 where nothing is) of a camera."""
+    def __call__(self) -> Callable[[Cameras, Sequence[int]], Iterator[tuple[np.ndarray, np.ndarray]]]:
+        """Returns a function that gives colours (uint8 [h, w, 3]) and depth (m, along the axis, 0 where nothing is)."""
         scene = Scene(world_from_description(self.description), {})
 
-        def render(cameras: Cameras, index: int) -> tuple[np.ndarray, np.ndarray]:
+        def render(cameras: Cameras, indices: Sequence[int]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
             pose = cameras.pose.clone()
             pose[:, :3, 3] += self.origin.to(pose)
-            view = scene.render(replace(cameras, pose=pose), index)
-            return view.rgb, view.depth
+            for index in indices:
+                view = scene.render(replace(cameras, pose=pose), index)
+                yield view.rgb, view.depth
 
         return render
 

@@ -5,7 +5,7 @@ The folder is a posed-image data set like any other (transforms.json, images/, d
 again, so an interrupted call continues.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 
@@ -26,20 +26,23 @@ from hashnerf.transforms_json import read_transforms, write_transforms
 from hashnerf.worker_processes import map_in_processes
 
 Picture = tuple[UInt8[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]
-Renderer = Callable[[Cameras, int], Picture]
+Renderer = Callable[[Cameras, Sequence[int]], Iterable[Picture]]
+"""The pictures of some cameras, in order."""
+TOGETHER = 8192
+"""About how many pixels are rendered together."""
 FAR = 65.0
 """Metres from which a depth map cannot tell more (16-bit millimetres)."""
 
 
 def nerf_renderer(nerf: RoadNerf) -> Renderer:
-    """Returns a function that renders colour and depth (m, along the axis, 0 where nothing is) of a camera."""
+    """Returns a function that renders colour and depth (m, along the axis, 0 where nothing is) of some cameras."""
 
-    def render(cameras: Cameras, index: int) -> Picture:
-        seen = nerf.view(cameras, index)
-        depth = axis_depth(cameras, index, seen.median_depth)
-        depth = torch.where(depth.isfinite(), depth, 0.0)
-        rgb = (seen.rgb.clamp(0, 1) * 255).round().to(torch.uint8).view(cameras.height, cameras.width, 3)
-        return rgb.numpy(), depth.numpy()
+    def render(cameras: Cameras, indices: Sequence[int]) -> Iterator[Picture]:
+        seen, shape = nerf.views(cameras, indices), (len(indices), cameras.height, cameras.width)
+        colours = (seen.rgb.clamp(0, 1) * 255).round().to(torch.uint8).view(*shape, 3)
+        for index, rgb, distance in zip(indices, colours, seen.median_depth.view(len(indices), -1)):
+            depth = axis_depth(cameras, index, distance)
+            yield rgb.numpy(), torch.where(depth.isfinite(), depth, 0.0).numpy()
 
     return render
 
@@ -54,13 +57,16 @@ def render_views(
 
     `make_renderer` is called once a process; `on_view` is told how many views are there, and of how many.
     """
-    places = [(number, index) for number, (cameras, _) in enumerate(sets) for index in range(len(cameras))]
-    missing = [(number, index) for number, index in places if not is_there(sets[number][1], index)]
-    done = len(places) - len(missing)
-    on_view(done, len(places))
-    for _ in map_in_processes(_Writer(make_renderer, sets), missing, workers, chunk=8):
-        done += 1
-        on_view(done, len(places))
+    total, batches = sum(len(cameras) for cameras, _ in sets), []
+    for number, (cameras, folder) in enumerate(sets):
+        missing = [index for index in range(len(cameras)) if not is_there(folder, index)]
+        size = max(1, TOGETHER // (cameras.width * cameras.height))
+        batches += [(number, missing[at : at + size]) for at in range(0, len(missing), size)]
+    done = total - sum(len(indices) for _, indices in batches)
+    on_view(done, total)
+    for written in map_in_processes(_Writer(make_renderer, sets), batches, workers):
+        done += written
+        on_view(done, total)
 
 
 def is_there(folder: FilePath, index: int) -> bool:
@@ -166,17 +172,19 @@ def cameras_of(camera: CarCameraConfig, car: GroundPoses, road_height: float | F
 
 @dataclass(frozen=True)
 class _Writer:
-    """Renders a view and writes its files; small enough to be sent to another process."""
+    """Renders views and writes their files; small enough to be sent to another process."""
 
     make_renderer: Callable[[], Renderer]
     sets: Sequence[tuple[Cameras, FilePath]]
 
-    def __call__(self) -> Callable[[tuple[int, int]], None]:
+    def __call__(self) -> Callable[[tuple[int, Sequence[int]]], int]:
         renderer = self.make_renderer()
 
-        def write(place: tuple[int, int]) -> None:
-            (cameras, folder), index = self.sets[place[0]], place[1]
-            write_view(folder, index, *renderer(cameras, index))
+        def write(batch: tuple[int, Sequence[int]]) -> int:
+            (cameras, folder), indices = self.sets[batch[0]], batch[1]
+            for index, picture in zip(indices, renderer(cameras, indices)):
+                write_view(folder, index, *picture)
+            return len(indices)
 
         return write
 

@@ -103,7 +103,7 @@ def field_pictures(config: AerialConfig, survey: Survey, count: int, seed: int) 
     render, parts = nerf_renderer(nerf), []
     for car in _places(config, survey, count, seed):
         cameras = cameras_of(config.camera, car, survey.network.heights_at(torch.from_numpy(car.poses[:, :2])))
-        rgb, depth = (np.stack(part) for part in zip(*(render(cameras, index) for index in range(count))))
+        rgb, depth = (np.stack(part) for part in zip(*render(cameras, range(count))))
         parts.append((torch.from_numpy(rgb), torch.from_numpy(depth) == 0, car.poses))
     return Pictures(*(tuple(column) for column in zip(*parts)))
 

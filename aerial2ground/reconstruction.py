@@ -1,6 +1,7 @@
 """Drone pictures and a road network become a radiance field (aerial2ground III-B, Alg. 1)."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from dataclasses import field as option
 from pathlib import Path
@@ -24,7 +25,7 @@ from hashnerf.occupancy import OccupancyConfig, OccupancyGrid
 from hashnerf.picture_rays import PictureRays
 from hashnerf.posed_images import PosedImages
 from hashnerf.rays import Rays
-from hashnerf.render import Rendering, render_image
+from hashnerf.render import Rendering, render_images
 from hashnerf.training_run import TrainingRun
 
 EMPTY_EVERY = 4
@@ -104,18 +105,22 @@ class RoadNerf(nn.Module):
         if parts and march.guided_per_opacity and questions < pixels * asked:
             self.baked = BakedDensity(self.occupancy, cut, lambda positions: self.field.density(positions)[0])
 
-    @torch.no_grad()
     def view(self, cameras: Cameras, index: int) -> Rendering:
         """Returns what a camera sees, rows h*w in row-major order; its matrix and lens are honoured."""
+        return self.views(cameras, [index])
+
+    @torch.no_grad()
+    def views(self, cameras: Cameras, indices: Sequence[int]) -> Rendering:
+        """Returns what some cameras see, rows n*h*w: small pictures take less time together."""
         march, fewer, finer = self.config.march, self.config.view_samples_per_opacity, self.config.view_supersample
         if march.guided_per_opacity:
             # rays of one pixel share the first look, too
             march = replace(march, samples_per_opacity=march.samples_per_opacity / finer, guided_per_opacity=fewer)
         else:
             march = replace(march, samples_per_opacity=fewer)
-        return render_image(
+        return render_images(
             cameras,
-            index,
+            indices,
             self.colour_and_density,
             self.occupancy,
             march,

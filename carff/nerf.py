@@ -19,7 +19,7 @@ from hashnerf.field import Field, FieldConfig
 from hashnerf.fit import FitConfig
 from hashnerf.marching import MarchSettings
 from hashnerf.occupancy import OccupancyConfig, OccupancyGrid
-from hashnerf.render import render_image
+from hashnerf.render import render_images
 
 
 @dataclass(frozen=True)
@@ -133,9 +133,9 @@ class LatentNerf(nn.Module):
         def index_of(x: Tensor) -> Tensor:
             return torch.zeros(len(x), dtype=torch.int64, device=x.device)
 
-        seen = render_image(
+        seen = render_images(
             cameras,
-            index,
+            [index],
             lambda x, d, ray: self.field(x, d, row, index_of(x)),
             self.occupancy,
             self.config.march,

@@ -1,5 +1,6 @@
 """Rays: origins in world metres and unit directions, one row a ray."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -23,6 +24,11 @@ class Rays:
     def select(self, index: Int[Tensor, " chosen"] | Bool[Tensor, " rays"] | slice) -> "Rays":
         """Some of the rays: row numbers, a mask with one entry a ray, or a slice."""
         return Rays(self.origins[index], self.directions[index])
+
+
+def joined(parts: Sequence[Rays]) -> Rays:
+    """Returns the rays of several parts, one after the other."""
+    return Rays(torch.cat([part.origins for part in parts]), torch.cat([part.directions for part in parts]))
 
 
 def unit_directions(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:

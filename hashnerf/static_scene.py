@@ -27,7 +27,7 @@ from hashnerf.occupancy import OccupancyConfig, OccupancyGrid
 from hashnerf.picture_rays import PictureRays
 from hashnerf.posed_images import PosedImages, load_posed_images
 from hashnerf.random_state import seed_everything
-from hashnerf.render import render_image
+from hashnerf.render import render_images
 from hashnerf.training_run import TrainingRun, begun_config, run_folder
 from hashnerf.transforms_json import write_atomically
 from hashnerf.visible_volume import visible_box
@@ -116,9 +116,9 @@ class StaticNerf(nn.Module):
 
     def picture(self, data: PosedImages, index: int) -> Float[Tensor, "h w 3"]:
         """Returns the field as a camera of a data set sees it."""
-        seen = render_image(
+        seen = render_images(
             data.cameras,
-            index,
+            [index],
             lambda positions, directions, ray: self.field(positions, directions),
             self.occupancy,
             self.config.march,

@@ -24,8 +24,7 @@ def test_a_true_town_is_rendered_where_loading_moved_it():
     moved = replace(CAMERAS, pose=CAMERAS.pose.clone())
     moved.pose[:, :3, 3] -= origin
     render = TrueTown({"scenario": "mini_city", "seed": 0, "config": asdict(MiniCityConfig())}, origin)()
-    for index, view in enumerate(VIEWS):
-        rgb, depth = render(moved, index)
+    for (rgb, depth), view in zip(render(moved, range(len(VIEWS))), VIEWS, strict=True):
         assert (np.abs(rgb.astype(int) - view.rgb.numpy()) > 2).mean() < 0.02, "but for rounding at edges"
         assert np.isclose(depth, view.depth.numpy(), atol=1e-3).mean() > 0.98
 

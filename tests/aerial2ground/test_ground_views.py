@@ -20,9 +20,10 @@ CAMERAS = cameras_of(CarCameraConfig(width=16, height=9), CAR, 0.0)
 BOX = torch.tensor([[-1.0, -1.0, -0.1], [5.0, 1.0, 1.0]])
 
 
-def flat(cameras, index):
+def flat(cameras, indices):
     """Every picture has one colour and one depth of its own."""
-    return np.full((9, 16, 3), 10 * index, np.uint8), np.full((9, 16), 1.0 + index / 8)
+    for index in indices:
+        yield np.full((9, 16, 3), 10 * index, np.uint8), np.full((9, 16), 1.0 + index / 8)
 
 
 def make_flat():
@@ -67,11 +68,12 @@ def test_an_interrupted_call_goes_on(tmp_path):
     calls = []
 
     def breaking():
-        def render(cameras, index):
-            calls.append(index)
-            if len(calls) == 5:
-                raise KeyboardInterrupt
-            return flat(cameras, index)
+        def render(cameras, indices):
+            for index in indices:
+                calls.append(index)
+                if len(calls) == 5:
+                    raise KeyboardInterrupt
+                yield from flat(cameras, [index])
 
         return render
 

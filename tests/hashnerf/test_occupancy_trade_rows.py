@@ -6,7 +6,7 @@ from hashnerf.field import Field, FieldConfig
 from hashnerf.fit import EMPTY_RAYS, EMPTY_TURNS, FieldFit, FitConfig
 from hashnerf.marching import MarchSettings
 from hashnerf.occupancy import OccupancyConfig, OccupancyGrid
-from hashnerf.render import render_image
+from hashnerf.render import render_images
 from tests.hashnerf.analytic_scene import BOX, Pictures, ring_of_cameras
 
 MARCH = MarchSettings(candidates=64, even_distance=5.0)
@@ -58,9 +58,9 @@ def test_t04_an_empty_scene_takes_no_samples(numeric_row):
     cameras = ring_of_cameras(2, 24)
     sky = torch.tensor([0.2, 0.4, 0.6])
     for samples in (0, 48):
-        seen = render_image(
+        seen = render_images(
             cameras,
-            0,
+            [0],
             lambda x, d, ray: (torch.ones(len(x)), torch.ones(len(x), 3)),
             grid,
             MarchSettings(samples=samples),
@@ -104,9 +104,9 @@ def test_t05_samples_and_cells_follow_what_there_is(numeric_row):
         grid = seen_grid(density)
         cells.append(grid.occupied_fraction())
         images = [
-            render_image(
+            render_images(
                 cameras,
-                index,
+                [index],
                 lambda x, d, ray, density=density: (density(x), torch.ones(len(x), 3)),
                 grid,
                 MARCH,

@@ -11,7 +11,7 @@ from hashnerf.image_files import write_png
 from hashnerf.marching import MarchSettings
 from hashnerf.occupancy import OccupancyConfig, OccupancyGrid
 from hashnerf.posed_images import load_posed_images
-from hashnerf.render import render_image
+from hashnerf.render import render_images
 
 SIZE = 24
 BOX = np.array([[-3.0, -3.0, -1.0], [3.0, 3.0, 2.0]])
@@ -37,7 +37,7 @@ def pictures_at(folder, shift):
     settings = MarchSettings(candidates=64, samples=0)
     return torch.stack(
         [
-            render_image(posed.cameras, row, lambda x, d, ray: field(x, d), everywhere, settings).rgb
+            render_images(posed.cameras, [row], lambda x, d, ray: field(x, d), everywhere, settings).rgb
             for row in range(len(posed))
         ]
     )

@@ -10,7 +10,8 @@ from hashnerf.marching import MarchSettings
 from hashnerf.occupancy import OccupancyConfig, OccupancyGrid
 from hashnerf.ray_box import intersect_box
 from hashnerf.rays import Rays, unit_directions
-from hashnerf.render import middle_distance, render, render_image
+from hashnerf.render import middle_distance, render, render_images
+from tests.hashnerf.analytic_scene import ring_of_cameras
 
 BOX = torch.tensor([[-4.0, -4.0, 0.0], [4.0, 4.0, 4.0]])
 EVERY = MarchSettings(candidates=256, samples=0)
@@ -71,7 +72,7 @@ def test_n44_skipping_equals_dense_marching(scene, numeric_row):
     skipped = grid_of(scene, updates=80)
     background = torch.full((3,), 0.3)
     pictures = [
-        render_image(camera(), 0, field_of(scene), grid, EVERY, lambda d: background.expand(len(d), 3))
+        render_images(camera(), [0], field_of(scene), grid, EVERY, lambda d: background.expand(len(d), 3))
         for grid in (dense, skipped)
     ]
     difference = (pictures[0].rgb - pictures[1].rgb).abs()
@@ -124,11 +125,11 @@ def test_n41_an_empty_grid_shows_the_background_until_something_is_dense(numeric
     background = torch.tensor([0.1, 0.5, 0.9])
     wrong = 0
     for settings in (EVERY, MarchSettings()):
-        seen = render_image(camera(), 0, field_of(nothing), grid, settings, lambda d: background.expand(len(d), 3))
+        seen = render_images(camera(), [0], field_of(nothing), grid, settings, lambda d: background.expand(len(d), 3))
         wrong += int((seen.rgb != background).sum()) + int(seen.depth_valid.sum())
     for _ in range(config.turns):  # one update of every cell
         grid.update(lambda positions: box_scene(positions)[None])
-    seen = render_image(camera(), 0, field_of(box_scene), grid, EVERY)
+    seen = render_images(camera(), [0], field_of(box_scene), grid, EVERY)
     wrong += int(seen.opacity.max() < 0.99) + int(grid.occupied_fraction() > 0.2)
     numeric_row("N41", "300 updates without density: background; then a box: drawn after one full update", wrong)
 
@@ -136,8 +137,8 @@ def test_n41_an_empty_grid_shows_the_background_until_something_is_dense(numeric
 @pytest.mark.parametrize("scene", [box_scene, pole_scene])
 def test_resampled_rendering_is_close_to_dense_marching(scene):
     grid = grid_of(scene, updates=80)
-    dense = render_image(camera(), 0, field_of(scene), grid, EVERY)
-    few = render_image(camera(), 0, field_of(scene), grid, MarchSettings(candidates=256, samples=48))
+    dense = render_images(camera(), [0], field_of(scene), grid, EVERY)
+    few = render_images(camera(), [0], field_of(scene), grid, MarchSettings(candidates=256, samples=48))
     assert (dense.rgb - few.rgb).square().mean() < 2e-3
     assert (dense.depth_valid == few.depth_valid).float().mean() > 0.97
 
@@ -182,19 +183,29 @@ def test_the_field_sees_the_right_ray():
 
 def test_chunks_do_not_change_the_picture(monkeypatch):
     grid = grid_of(box_scene)
-    whole = render_image(camera(), 0, field_of(box_scene), grid, EVERY)
+    whole = render_images(camera(), [0], field_of(box_scene), grid, EVERY)
     monkeypatch.setattr("hashnerf.render.SAMPLES_AT_ONCE", 100)
-    pieces = render_image(camera(), 0, field_of(box_scene), grid, EVERY, rays_at_once=77)
+    pieces = render_images(camera(), [0], field_of(box_scene), grid, EVERY, rays_at_once=77)
     assert torch.allclose(whole.rgb, pieces.rgb, atol=1e-6)
     assert torch.equal(whole.depth_valid, pieces.depth_valid)
     assert whole.samples_evaluated == pieces.samples_evaluated
     assert whole.rgb.shape == (24 * 24, 3)
 
 
+@pytest.mark.parametrize("supersample", [1, 2])
+def test_pictures_rendered_together_are_those_rendered_alone(supersample):
+    cameras, grid = ring_of_cameras(3, 24), grid_of(box_scene)
+    together = render_images(cameras, [2, 0], field_of(box_scene), grid, EVERY, supersample=supersample)
+    alone = [render_images(cameras, [i], field_of(box_scene), grid, EVERY, supersample=supersample) for i in (2, 0)]
+    assert not torch.allclose(alone[0].rgb, alone[1].rgb, atol=1e-2)
+    for name in ("rgb", "depth", "opacity"):
+        assert torch.allclose(getattr(together, name), torch.cat([getattr(one, name) for one in alone]), atol=1e-6)
+
+
 def test_a_supersampled_pixel_is_the_mean_of_its_rays():
     grid = grid_of(box_scene)
-    pixels = render_image(camera(), 0, field_of(box_scene), grid, EVERY, supersample=3)
-    fine = render_image(camera().scaled(72, 72), 0, field_of(box_scene), grid, EVERY)
+    pixels = render_images(camera(), [0], field_of(box_scene), grid, EVERY, supersample=3)
+    fine = render_images(camera().scaled(72, 72), [0], field_of(box_scene), grid, EVERY)
     rgb, opacity = fine.rgb.view(24, 3, 24, 3, 3), fine.opacity.view(24, 3, 24, 3)
     by_hand = sum(rgb[:, row, :, column] for row in range(3) for column in range(3)) / 9
     assert torch.allclose(pixels.rgb, by_hand.reshape(-1, 3), atol=1e-6)
@@ -209,8 +220,8 @@ def test_the_depth_of_a_supersampled_plane_is_that_of_the_pixels_centres():
         return torch.where(positions[:, 2] < 1.0, 5000.0, 0.0)
 
     grid = grid_of(ground)
-    once = render_image(camera(), 0, field_of(ground), grid, EVERY)
-    twice = render_image(camera(), 0, field_of(ground), grid, EVERY, supersample=2)
+    once = render_images(camera(), [0], field_of(ground), grid, EVERY)
+    twice = render_images(camera(), [0], field_of(ground), grid, EVERY, supersample=2)
     both = once.median_depth.isfinite() & twice.median_depth.isfinite()
     off = (twice.median_depth - once.median_depth)[both]
     assert both.float().mean() > 0.4
