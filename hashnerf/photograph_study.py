@@ -36,8 +36,8 @@ class PhotographStudy:
 
     data: str = ""
     """Folder of the photographs with their transforms.json."""
-    config: str = "configs/static/caliterra.yaml"
-    """Settings of the scene, under those that are varied."""
+    scene: str = "configs/static/caliterra.yaml"
+    """Config file of the scene, under what is varied."""
     runs: str = "runs/photographs"
     """Folder of the runs; finished ones are not repeated."""
     sizes: tuple[int, ...] = (250, 500)
@@ -81,7 +81,7 @@ def run_study(config: PhotographStudy) -> list[Point]:
             name = f"{size}px_{steps}"
             own = ["--dataset", config.data, "--runs", config.runs, "--name", name, "--image_size", str(size)]
             limits = ["--steps", str(steps), "--threads", str(config.threads)]
-            run_stage(f"{size} px, {steps} steps", [SCRIPT, "--config", config.config, *own, *limits], folder)
+            run_stage(f"{size} px, {steps} steps", [SCRIPT, "--config", config.scene, *own, *limits], folder)
             points.append(read_point(folder / name))
     return points
 

@@ -30,6 +30,9 @@ HEAD = "# Where the time of a training goes\n\nShares count: the profiler itself
 def main() -> None:
     """Profile and append to the page."""
     name = sys.argv[1] if len(sys.argv) > 1 else ""
+    if name in ("-h", "--help"):
+        print(f"{__doc__}\nEach answers --help.")
+        return
     if name not in PIPELINES:
         raise UserError(f"{name or 'nothing'}: is no pipeline; say scripts/profile_training.py {'|'.join(PIPELINES)}")
     config_class, train = PIPELINES[name]
