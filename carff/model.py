@@ -68,8 +68,9 @@ class CarffModel:
 
 def load_carff(folder: Path) -> CarffModel:
     """Loads a finished run; raises UserError naming the stage that is missing."""
-    if not (folder / CONFIG).is_file():
-        raise UserError(f"{folder}: not a run folder (no {CONFIG}); train one first with scripts/train_pcvae.py")
+    for name in (CONFIG, SCENE):
+        if not (folder / name).is_file():
+            raise UserError(f"{folder}: not a CARFF run (no {name}); train one first with scripts/train_pcvae.py")
     config = trained_config(folder)
     scene = load_scene_info(folder / SCENE)
     costs = {}

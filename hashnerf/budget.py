@@ -1,13 +1,15 @@
 """Choosing what a budget allows: the most accurate preset whose cost, as measured here and now, fits."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 
 from hashnerf.errors import UserError
 from hashnerf.report_tables import Table
+from hashnerf.results_page import table_lines
 
 MARGIN = 1.3
 """Measured costs count this many times: a machine that others use, too, is not always as fast as a moment ago."""
@@ -23,7 +25,9 @@ def best_within(costs: Mapping[str, float], budget: float, key: str, unit: str) 
     listed = ", ".join(f"{name} {cost:.3g} {unit}" for name, cost in costs.items())
     if not fitting:
         least = MARGIN * min(costs.values())
-        raise UserError(f"{key} is {budget:g}: no preset fits ({listed}); give at least {least:.3g}")
+        raise UserError(
+            f"{key} is {budget:g}: no preset fits {MARGIN:g} times over ({listed}); give at least {least:.3g}"
+        )
     chosen = fitting[-1]
     return chosen, f"{key} {budget:g}: takes {chosen}, the most accurate that fits {MARGIN:g} times over ({listed})"
 
@@ -59,3 +63,16 @@ def trials_table(trials: Sequence[Trial], unit: str) -> Table:
         verdict = f"{kept} of {len(own)}{'' if kept == len(own) else ' (**missed**)'}"
         rows.append((f"{budget:g} {unit}", chosen, f"{min(taken):.3g} to {max(taken):.3g} {unit}", verdict))
     return Table(("budget", "chosen", "took", "within the budget"), tuple(rows))
+
+
+def write_trials(parts: Mapping[str, tuple[str, Iterable[Trial]]], page: Path, about: str) -> None:
+    """Writes a page of trials, by title with their unit, anew after every one: a trial that fails costs no other."""
+    lines = ["# Whether budgets are kept", "", about]
+    for title, (unit, trials) in parts.items():
+        done: list[Trial] = []
+        section: list[str] = []
+        for trial in trials:
+            done.append(trial)
+            section = ["", f"## {title}", "", *table_lines(trials_table(done, unit))]
+            page.write_text("\n".join([*lines, *section]) + "\n", encoding="utf-8")
+        lines += section

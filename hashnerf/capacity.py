@@ -146,8 +146,8 @@ def fitted_to_scene(
     entries = math.ceil(math.log2(VERTICES_PER_TEXEL * texels))
     entries = field.log2_table_size or min(max(entries, FEWEST_ENTRIES), MOST_ENTRIES)
     cell = settings.occupancy.cell or _occupancy_cell(sides.tolist(), longest / finest)
-    crossed = math.ceil(CANDIDATES_PER_CELL * scene.chord / cell)
-    candidates = settings.march.candidates or min(max(crossed, FEWEST_CANDIDATES), MOST_CANDIDATES)
+    crossed = math.ceil(min(CANDIDATES_PER_CELL * scene.chord / cell, MOST_CANDIDATES))
+    candidates = settings.march.candidates or max(crossed, FEWEST_CANDIDATES)
     reason = (
         f"capacity: pixels cover {scene.footprint:.3g} m of places about {scene.distance:.3g} m away, could be "
         f"{scene.enlargement} x larger, and about {texels:.2g} of them show surface: {levels} levels, "

@@ -252,6 +252,11 @@ class HashGrid(nn.Module):
         )
         self.register_buffer("box", box.detach().clone(), persistent=False)
         last = self.plan[-1]
+        if max(last.vertices) >= MOST_NUMBERS:
+            raise UserError(
+                f"finest_resolution {finest_resolution:.3g} and flatness {flatness:g} ask for "
+                f"{max(last.vertices):.1e} cells along a side: use smaller ones"
+            )
         most = max(level.entries for level in self.plan)
         if most * features > MOST_NUMBERS:
             raise UserError(

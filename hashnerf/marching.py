@@ -22,6 +22,8 @@ from hashnerf.rays import Rays
 from hashnerf.resampling import Samples, Strata, cut_pieces, draw_samples, uniform
 
 MOST_SAMPLES_PER_OPACITY = 1e6
+MOST_PLACES = 1 << 20  # on a ray
+FARTHEST = 1e12  # metres: their squares are numbers
 MOST_HIDDEN = 1.0  # optical thickness an interval is trusted to have: a ray may pass beside what fills half a cell
 
 DensityFn = Callable[[Tensor, Tensor], Tensor]
@@ -50,22 +52,25 @@ class MarchSettings:
     """A ray ends where cells known opaque in every condition leave less light than this; 0 never ends it."""
 
     def __post_init__(self):
-        if self.candidates < 0:
-            raise UserError(f"march.candidates is {self.candidates}: use at least 1, or 0 to derive it from the scene")
-        if self.samples < 0:
-            raise UserError(f"march.samples is {self.samples}: use 0 or more")
+        if not 0 <= self.candidates <= MOST_PLACES:
+            raise UserError(
+                f"march.candidates is {self.candidates}: use 1 to {MOST_PLACES}, or 0 to derive it from the scene"
+            )
+        if not 0 <= self.samples <= MOST_PLACES:
+            raise UserError(f"march.samples is {self.samples}: use 0 to {MOST_PLACES}")
         if not 0 < self.samples_per_opacity <= MOST_SAMPLES_PER_OPACITY:
             raise UserError(f"march.samples_per_opacity is {self.samples_per_opacity}: use a positive number up to 1e6")
         if not 0 <= self.guided_per_opacity <= MOST_SAMPLES_PER_OPACITY:
             raise UserError(f"march.guided_per_opacity is {self.guided_per_opacity}: use 0 or a number up to 1e6")
         if self.guided_per_opacity and not self.samples:
             raise UserError("march.guided_per_opacity needs samples to look at first: use march.samples of 1 or more")
-        if not 0 <= self.even_distance < math.inf:
+        if not 0 <= self.even_distance <= FARTHEST:
             raise UserError(
-                f"march.even_distance is {self.even_distance}: use a positive number of metres, or 0 to derive it"
+                f"march.even_distance is {self.even_distance}: use a positive number of metres up to {FARTHEST:g}, "
+                "or 0 to derive it"
             )
-        if not 0 <= self.near < math.inf:
-            raise UserError(f"march.near is {self.near}: use 0 or a positive number of metres")
+        if not 0 <= self.near <= FARTHEST:
+            raise UserError(f"march.near is {self.near}: use 0 or a positive number of metres up to {FARTHEST:g}")
         if not 0 <= self.stop_transmittance < 1:
             raise UserError(f"march.stop_transmittance is {self.stop_transmittance}: use 0 or more and less than 1")
 

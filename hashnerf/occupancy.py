@@ -31,6 +31,7 @@ SEQUENCE = (1 / 1.324717957244746, 1 / 1.324717957244746**2, 2 / (1 + math.sqrt(
 USUAL_SHARE = 0.3  # of a new visit in the running mean: a visit tries only a few points
 MOST_CELLS = 1 << 28  # a gigabyte for each of three numbers
 CHUNK = 1 << 17  # positions evaluated at once
+MOST_POINTS = 1024
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,8 @@ class OccupancyConfig:
         for name in ("points", "warmup", "turns"):
             if getattr(self, name) < 1:
                 raise UserError(f"occupancy.{name} is {getattr(self, name)}: use at least 1")
+        if self.points > MOST_POINTS:
+            raise UserError(f"occupancy.points is {self.points}: use at most {MOST_POINTS}")
 
 
 class OccupancyGrid(nn.Module):

@@ -29,6 +29,7 @@ FRAME_KEYS = ("file_path", "transform_matrix", "branch", "step", "camera", "spli
 CAMERA_KEYS = (*LENS_KEYS, *COEFFICIENT_KEYS, *UNSUPPORTED_COEFFICIENTS, "w", "h")
 TOP_KEYS = ("frames", *EXTRA_KEYS, *CAMERA_KEYS)
 READER_THREADS = 4
+LARGEST_BOX = 1e9  # metres, from corner to corner
 
 
 @dataclass(frozen=True)
@@ -82,10 +83,15 @@ class PosedImages:
     def with_scene_box(self, told: Sequence[float]) -> "PosedImages":
         """The same with another box (x0, y0, z0, x1, y1, z1), metres in the file's frame; unchanged if `told` is empty.
 
-        Raises UserError for a box that no camera sees.
+        Raises UserError for a box without volume, or one that no camera sees.
         """
         if not told:
             return self
+        if not all(low < high and abs(low) + abs(high) <= LARGEST_BOX for low, high in zip(told[:3], told[3:])):
+            raise UserError(
+                f"scene_box is {list(told)}; give x0, y0, z0, x1, y1, z1 in metres, each of the first three below its "
+                f"counterpart and none beyond {LARGEST_BOX:g}"
+            )
         box = (torch.tensor(list(told), dtype=torch.float64).view(2, 3) - self.origin).float()
         if not any_sees(self.cameras, box):
             raise UserError(f"scene_box is {list(told)}; no camera sees it: give metres, in the poses' frame")

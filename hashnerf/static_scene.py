@@ -21,7 +21,7 @@ from hashnerf.errors import UserError
 from hashnerf.field import Field, FieldConfig
 from hashnerf.fit import DrawBatch, FieldFit, FitConfig, RayBatch, fit_field
 from hashnerf.marching import MarchSettings
-from hashnerf.metrics import psnr
+from hashnerf.metrics import json_number, psnr
 from hashnerf.model_files import load_model, save_model
 from hashnerf.occupancy import OccupancyConfig, OccupancyGrid
 from hashnerf.picture_rays import PictureRays
@@ -170,7 +170,9 @@ def train_static(config: StaticConfig) -> dict:
         "test_pictures": len(test),
     }
     if len(test):
-        results |= {"psnr_db": held_out_psnr(nerf, test), "psnr_one_colour_db": one_colour_psnr(train, test)}
+        # infinite where pictures are of one colour: JSON has no number for that
+        results |= {"psnr_db": json_number(held_out_psnr(nerf, test))}
+        results |= {"psnr_one_colour_db": json_number(one_colour_psnr(train, test))}
         Image.fromarray(held_out_sheet(nerf, test)).save(config.folder / "held_out.png")
     write_atomically(config.folder / RESULTS, json.dumps(results, indent=1, allow_nan=False).encode())
     return results

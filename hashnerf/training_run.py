@@ -319,10 +319,16 @@ class TrainingRun:
 
 
 def begun_config(folder: Path, overwrite: bool = False) -> dict[str, Any] | None:
-    """The stored config of a training that has saved something and is not to start over, else None."""
+    """The stored config of a training that has saved something and is not to start over, else None.
+
+    Raises UserError where it is empty or no mapping.
+    """
     if overwrite or not checkpoint_steps(folder / CHECKPOINTS) or not (folder / CONFIG).is_file():
         return None
-    return read_yaml(folder / CONFIG)
+    stored = read_yaml(folder / CONFIG)
+    if not isinstance(stored, dict) or not stored:
+        raise UserError(f"{folder / CONFIG}: is damaged; restore it, or start over with --overwrite true")
+    return stored
 
 
 def run_folder(root: Path, name: str) -> Path:

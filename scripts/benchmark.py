@@ -68,8 +68,7 @@ def main() -> int | None:
     """Run the benchmark that the first argument names."""
     name = sys.argv[1] if len(sys.argv) > 1 else ""
     if name in ("-h", "--help"):
-        print(f"{__doc__}\nEach answers --help.")
-        return None
+        return print(f"{__doc__}\nEach answers --help.")
     if name not in BENCHMARKS:
         raise UserError(f"{name or 'nothing'}: is no benchmark; say python scripts/benchmark.py {'|'.join(BENCHMARKS)}")
     status = BENCHMARKS[name](sys.argv[2:])

@@ -13,7 +13,13 @@ from hashnerf.errors import UserError
 
 
 def test_a_folder_without_a_run_is_a_sentence(tmp_path):
-    with pytest.raises(UserError, match="not a run folder"):
+    with pytest.raises(UserError, match=r"not a CARFF run \(no config\.yaml"):
+        load_carff(tmp_path)
+
+
+def test_a_run_of_another_kind_is_a_sentence(tmp_path):
+    (tmp_path / "config.yaml").write_text("branch: 0\n")
+    with pytest.raises(UserError, match=r"not a CARFF run \(no scene\.json"):
         load_carff(tmp_path)
 
 

@@ -59,7 +59,7 @@ def test_an_empty_sky_is_taken_for_empty_and_has_no_samples(place):
 
 def test_seconds_that_no_preset_fits_into_are_refused_with_what_would(place):
     output = train(place, "box", "--max_seconds", "0.01", "--overwrite", "true", expect=2)
-    assert "max_seconds is 0.01: no preset fits (fast" in output and "give at least" in output
+    assert "max_seconds is 0.01: no preset fits 1.3 times over (fast" in output and "give at least" in output
 
 
 def test_a_run_that_was_begun_keeps_its_steps(place):

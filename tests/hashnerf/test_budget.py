@@ -2,7 +2,7 @@
 
 import pytest
 
-from hashnerf.budget import MARGIN, Trial, best_within, p95_ms, trials_table
+from hashnerf.budget import MARGIN, Trial, best_within, p95_ms, trials_table, write_trials
 from hashnerf.errors import UserError
 
 COSTS = {"fast": 10.0, "balanced": 40.0, "accurate": 160.0}
@@ -22,7 +22,7 @@ def test_it_says_which_and_why_in_one_line():
 
 
 def test_no_preset_fits():
-    with pytest.raises(UserError, match=r"max_ms is 12: no preset fits \(fast 10 ms.*give at least 13"):
+    with pytest.raises(UserError, match=r"max_ms is 12: no preset fits 1.3 times over \(fast 10 ms.*give at least 13"):
         best_within(COSTS, 12.0, "max_ms", "ms")
 
 
@@ -54,3 +54,16 @@ def test_trials_by_hand():
         ("10 s", "fast", "7 to 9.5 s", "2 of 2"),
         ("60 s", "fast, balanced", "8 to 61 s", "1 of 2 (**missed**)"),
     )
+
+
+def test_a_trial_that_fails_costs_no_other(tmp_path):
+    def trials():
+        yield Trial(10.0, "fast", 7.0)
+        raise UserError("no preset fits")
+
+    page = tmp_path / "budgets.md"
+    with pytest.raises(UserError, match="no preset fits"):
+        write_trials({"Decisions": ("ms", [Trial(20.0, "fast", 9.0)]), "Trainings": ("s", trials())}, page, "about")
+    text = page.read_text()
+    assert text.index("## Decisions") < text.index("| 20 ms |") < text.index("## Trainings") < text.index("| 10 s |")
+    assert "about" in text

@@ -116,6 +116,12 @@ def test_an_impossible_box_is_refused(box):
         HashGrid(torch.tensor(box, dtype=torch.float32), 2, 2, 10, 4, 8)
 
 
+@pytest.mark.parametrize(("finest", "flatness"), [(10**23, 1.0), (64, 1e30)])
+def test_more_cells_along_a_side_than_32_bits_count_are_refused(finest, flatness):
+    with pytest.raises(UserError, match=r"finest_resolution .* cells along a side"):
+        HashGrid(torch.tensor([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]), 2, 2, 10, 4, finest, flatness=flatness)
+
+
 @pytest.mark.parametrize("log2_table_size", [8, 20])
 def test_flat_cells_equal_the_slow_reference(log2_table_size):
     grid = small_grid(dtype=torch.float64, log2_table_size=log2_table_size, flatness=3.0)

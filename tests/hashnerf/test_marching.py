@@ -296,6 +296,10 @@ def test_no_guide_can_be_asked_where_every_interval_is_taken():
         ("guided_per_opacity", math.inf),
         ("even_distance", -1.0),
         ("near", -1.0),
+        ("near", 1e39),
+        ("even_distance", 1e39),
+        ("candidates", 10**20),
+        ("samples", 10**20),
         ("stop_transmittance", 1.0),
     ],
 )

@@ -197,7 +197,15 @@ def test_state_is_saved_and_restored():
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("cell", -1.0), ("threshold", math.inf), ("decay", 1.0), ("points", 0), ("warmup", 0), ("turns", 0)],
+    [
+        ("cell", -1.0),
+        ("threshold", math.inf),
+        ("decay", 1.0),
+        ("points", 0),
+        ("points", 131073),
+        ("warmup", 0),
+        ("turns", 0),
+    ],
 )
 def test_impossible_configs_name_the_key(key, value):
     with pytest.raises(UserError, match=f"occupancy.{key} is"):

@@ -50,6 +50,20 @@ def test_the_pictures_of_one_state_are_chosen(config, monkeypatch):
         load_scene(replace(config, branch=7))
 
 
+def test_pictures_of_one_colour_have_no_psnr_that_json_knows(config, monkeypatch):
+    data = posed_scene(count=24, size=24)
+    monkeypatch.setattr(static_scene, "load_posed_images", lambda *_: replace(data, images=data.images * 0))
+    found = train_static(replace(config, steps=2))
+    assert found["psnr_one_colour_db"] is None
+    assert json.loads((config.folder / "reconstruction.json").read_text()) == found
+
+
+@pytest.mark.parametrize("box", [[0] * 6, [1, 1, 1, 0, 0, 0], [-2, -2, 2, 2, 2, 0], [-1e300, -2, 0, 1e300, 2, 2]])
+def test_a_box_without_volume_or_without_end_is_refused_by_key(config, box):
+    with pytest.raises(UserError, match=r"scene_box is .*each of the first three below"):
+        load_scene(replace(config, scene_box=tuple(map(float, box))))
+
+
 def test_a_box_that_nobody_stated_is_trimmed_to_what_is_seen(config, monkeypatch):
     data = posed_scene()
     loose = replace(data, scene_box=data.scene_box * 20, box_told=False)

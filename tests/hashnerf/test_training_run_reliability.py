@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from hashnerf.errors import UserError
-from hashnerf.training_run import TrainingRun, run_folder
+from hashnerf.training_run import TrainingRun, begun_config, run_folder
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -94,7 +94,7 @@ from dataclasses import dataclass
 from pathlib import Path
 import torch
 from hashnerf.command_line import parse_config, run_main
-from hashnerf.training_run import TrainingRun
+from hashnerf.training_run import TrainingRun, begun_config
 
 @dataclass(frozen=True)
 class Config:
@@ -129,3 +129,14 @@ def test_k27_other_languages_times_and_terminals_give_the_same_metrics(tmp_path,
     assert b"1.25" in done.stdout
     inputs = "decimal comma, time zone, ascii, no terminal, no standard error: metrics or config that differ"
     numeric_row("K27", inputs, found["odd"] != found["plain"])
+
+
+@pytest.mark.parametrize("text", ["", "3\n", "[]\n"])
+def test_a_damaged_config_of_a_begun_run_is_named(tmp_path, text):
+    with TrainingRun(tmp_path, {"rate": 0.1}, 1, {}) as run:
+        list(run.steps())
+    assert begun_config(tmp_path) == {"rate": 0.1}
+    (tmp_path / "config.yaml").write_text(text)
+    with pytest.raises(UserError, match=r"config\.yaml"):
+        begun_config(tmp_path)
+    assert begun_config(tmp_path, overwrite=True) is None
