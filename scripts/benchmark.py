@@ -50,7 +50,7 @@ def study(name: str, arguments: list[str]) -> None:
     config = parse_config(config_class, arguments, description=description)
     told = [Path(word).name if Path(word).is_absolute() else word for word in arguments]  # where data lie is private
     command = shlex.join(["python", "scripts/benchmark.py", name, *told])
-    part.write_study(part.run_study(config), config, f"`{command}`; seed 0; {machine()}; {commit()}.")
+    part.write_study(part.run_study(config), config, f"`{command}`; {machine()}; {commit()}.")
 
 
 STUDIES = {

@@ -9,6 +9,7 @@ from hashnerf.capacity_study import (
     CapacityStudy,
     Fit,
     empty_share,
+    mean_fit,
     read_fit,
     run_study,
     scenes_of,
@@ -29,11 +30,16 @@ def found(chosen: Fit = GOOD, empty: Fit = EMPTY) -> dict:
 
 def test_a_row_by_hand():
     row = study_table(found()).rows[1]
-    assert row[:4] == ("one box", "7 x 2^15, 157 cells", "28.50 dB", "28.60 dB")
+    assert row[:4] == ("one box", "7 x 2^15, 157 cells", "28.50 dB (0.00)", "28.60 dB (0.00)")
     assert row[4] == "-0.10 dB (met)" and row[7] == "0.20 (met)"
     slow = Fit(51.0, 500.0, 28.39, FIELD, 60.0, 16000)
     row = study_table(found(slow)).rows[1]
     assert row[4] == "-0.21 dB (**missed**)" and row[7] == "0.51 (**missed**)"
+
+
+def test_seeds_are_averaged():
+    fit = mean_fit([Fit(10.0, 400.0, 28.0, FIELD, 50.0, 0), Fit(20.0, 600.0, 28.5, FIELD, 70.0, 3)])
+    assert fit == Fit(15.0, 500.0, 28.25, FIELD, 60.0, 3, 0.5)
 
 
 def test_the_empty_sky_beside_the_town():
@@ -76,9 +82,15 @@ def test_every_scene_is_made_and_fitted_both_ways(tmp_path, monkeypatch):
     monkeypatch.setattr(capacity_study, "read_fit", lambda folder, steps: GOOD)
     config = CapacityStudy(runs=str(tmp_path), steps=5, photographs="photos")
     assert list(run_study(config)) == [*NAMES, "photographs, 250 px"] == list(scenes_of(config))
-    assert [name for name, _ in commands][:3] == ["pictures of empty sky", "empty sky, chosen", "empty sky, fixed"]
+    assert [name for name, _ in commands][:3] == [
+        "pictures of empty sky",
+        "empty sky, chosen, seed 0",
+        "empty sky, chosen, seed 1",
+    ]
     assert not any(name == "pictures of photographs, 250 px" for name, _ in commands)
-    chosen, fixed = (next(c for name, c in commands if name == f"one box, {way}") for way in ("chosen", "fixed"))
+    chosen, fixed = (
+        next(c for name, c in commands if name == f"one box, {way}, seed 1") for way in ("chosen", "fixed")
+    )
     assert [*chosen[:1], "--field.levels" in chosen] == ["scripts/train_static_nerf.py", False]
     assert " ".join(fixed).endswith("--field.levels 16 --field.log2_table_size 19 --field.finest_resolution 2048")
     assert "--steps 5" in " ".join(chosen)
