@@ -228,6 +228,8 @@ def filled_from(settings: Settings, stored: Mapping[str, Any]) -> Settings:
         left = [name for name in names if not getattr(own, name)]
         if part == "field" and left:
             left += ["base_resolution", "initial_thickness"]  # derived along with the others
+        elif part == "field" and stored[part]["initial_thickness"] == min(own.initial_thickness, CLEAR):
+            left = ["initial_thickness"]  # the box was taken for empty, whatever was stated
         parts[part] = replace(own, **{name: stored[part][name] for name in left})
     return replace(settings, **parts)
 

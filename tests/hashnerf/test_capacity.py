@@ -143,6 +143,13 @@ def test_a_trained_fields_settings_come_back_from_its_config():
     assert filled_from(stated, plain_config(full)).field == replace(full.field, log2_table_size=12)
 
 
+def test_an_empty_scene_whose_field_was_stated_is_continued_in_clear_air():
+    stated = Settings(field=FieldConfig(levels=3, log2_table_size=9, finest_resolution=100))
+    full, _ = fitted_to_scene(stated, torch.full((4, 16, 16, 3), 9, dtype=torch.uint8), FOUR.scaled(16, 16), FLAT)
+    assert full.field.initial_thickness < stated.field.initial_thickness
+    assert filled_from(stated, plain_config(full)) == full
+
+
 def test_what_was_stored_is_taken_and_nothing_is_derived_anew(capsys):
     data = posed_scene()
     pictures = (data.images, data.cameras, data.scene_box)
