@@ -145,7 +145,7 @@ def test_a_trained_fields_settings_come_back_from_its_config():
 
 def test_an_empty_scene_whose_field_was_stated_is_continued_in_clear_air():
     stated = Settings(field=FieldConfig(levels=3, log2_table_size=9, finest_resolution=100))
-    full, _ = fitted_to_scene(stated, torch.full((4, 16, 16, 3), 9, dtype=torch.uint8), FOUR.scaled(16, 16), FLAT)
+    full, _ = fitted_to_scene(stated, torch.full((4, 128, 128, 3), 90, dtype=torch.uint8), FOUR.scaled(128, 128), FLAT)
     assert full.field.initial_thickness < stated.field.initial_thickness
     assert filled_from(stated, plain_config(full)) == full
 
