@@ -12,10 +12,13 @@ INTRODUCTION = """# Results
 
 Written by `python scripts/publish_results.py --runs '[RUN, ...]'` from the `report.json` of finished runs; nothing here
 is typed by hand. A target that was missed says so. The full reports hold the figures, intervals and pictures. What was
-tried and what limits the figures: [notes.md](notes.md). The figures of aerial2ground:
-[aerial2ground.md](aerial2ground.md). Of the core: speed against accuracy ([speed_accuracy.md](speed_accuracy.md)),
-capacity from the pictures ([capacity.md](capacity.md)), the numbered rows ([numerics.md](numerics.md)) and what they
-notice ([planted_faults.md](planted_faults.md)), what was tried ([core_notes.md](core_notes.md)).
+tried and what limits the figures: [notes.md](notes.md).
+
+aerial2ground: [its figures](aerial2ground.md), [what limits them](aerial2ground_notes.md), [poses that are
+wrong](pose_noise.md), [what a localiser needs](localisation.md), [what the road prior is worth](road_prior.md),
+[real recordings](real_data.md). The core: [speed against accuracy](speed_accuracy.md), [capacity from the
+pictures](capacity.md), [real photographs](photographs.md), [budgets](budgets.md), [where the time goes](profile.md),
+[the numbered rows](numerics.md) and [what they notice](planted_faults.md), [what was tried](core_notes.md).
 """
 
 
