@@ -22,14 +22,13 @@ from aerial2ground.reconstruction import RoadNerf
 from hashnerf.cameras import Cameras
 from hashnerf.errors import UserError
 from hashnerf.image_files import read_depth, read_rgb, resolve_inside, write_png
+from hashnerf.render import RAYS_AT_ONCE
 from hashnerf.transforms_json import read_transforms, write_transforms
 from hashnerf.worker_processes import map_in_processes
 
 Picture = tuple[UInt8[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]
 Renderer = Callable[[Cameras, Sequence[int]], Iterable[Picture]]
 """The pictures of some cameras, in order."""
-TOGETHER = 8192
-"""About how many pixels are rendered together."""
 FAR = 65.0
 """Metres from which a depth map cannot tell more (16-bit millimetres)."""
 
@@ -60,7 +59,7 @@ def render_views(
     total, batches = sum(len(cameras) for cameras, _ in sets), []
     for number, (cameras, folder) in enumerate(sets):
         missing = [index for index in range(len(cameras)) if not is_there(folder, index)]
-        size = max(1, TOGETHER // (cameras.width * cameras.height))
+        size = max(1, RAYS_AT_ONCE // (cameras.width * cameras.height))
         batches += [(number, missing[at : at + size]) for at in range(0, len(missing), size)]
     done = total - sum(len(indices) for _, indices in batches)
     on_view(done, total)

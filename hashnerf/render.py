@@ -23,6 +23,7 @@ FieldFn = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
 BackgroundFn = Callable[[Rays], Tensor]
 EDGE = 2.0  # distances within a pixel whose ratio is greater belong to different surfaces
 MARCH, FIELD = "march", "field at the samples"  # as a profile names them
+RAYS_AT_ONCE = 8192  # of pictures
 SAMPLES_AT_ONCE = 1 << 17  # without gradients the field sees this many samples at a time
 
 
@@ -92,7 +93,7 @@ def render_images(
     occupancy: OccupancyGrid,
     settings: MarchSettings,
     background_fn: BackgroundFn | None = None,
-    rays_at_once: int = 8192,
+    rays_at_once: int = RAYS_AT_ONCE,
     density_fn: DensityFn | None = None,
     supersample: int = 1,
 ) -> Rendering:
