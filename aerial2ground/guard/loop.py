@@ -1,0 +1,256 @@
+"""The guard's loop: everything that can happen is looked at between two periods of 20 ms, and never waited for."""
+
+import contextlib
+import math
+import queue
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TextIO
+
+from aerial2ground.guard.black_box import BlackBox
+from aerial2ground.guard.guard import OLDEST_FIRMWARE, Guard
+from aerial2ground.guard.messages import SIZE
+from aerial2ground.guard.operator_input import Datagrams, Joystick, Keyboard, StopFile
+from aerial2ground.guard.serial_link import LinkBlocked, LinkLost, SerialLink
+from aerial2ground.guard.set_point import PERIOD
+from aerial2ground.guard.states import State
+from aerial2ground.guard.vesc import FrameParser
+from hashnerf.errors import UserError
+
+FIRMWARE_SECONDS, END_SECONDS = 0.7, 0.9
+FIRST_RETRY, LAST_RETRY = 0.5, 5.0
+MOST_MESSAGES = 100
+"""Taken in one go, so that a policy that floods us does not hold up the loop."""
+POLICY_DECIDES = -1
+MOVING = (State.ARMED, State.STOPPING)
+
+
+class Announcer:
+    """Prints sentences from a thread: a terminal that hangs must not hold up the loop."""
+
+    def __init__(self, stream: TextIO):
+        self._queue: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._run, args=(stream,), daemon=True)
+        self._thread.start()
+
+    def say(self, sentence: str) -> None:
+        """Queues a sentence."""
+        self._queue.put(sentence)
+
+    def close(self) -> None:
+        """Prints what is queued, if that does not take long."""
+        self._queue.put(None)
+        self._thread.join(0.3)
+
+    def _run(self, stream: TextIO) -> None:
+        while (sentence := self._queue.get()) is not None:
+            with contextlib.suppress(OSError, ValueError):  # a closed terminal does not end a drive
+                print(sentence, file=stream, flush=True)
+
+
+@dataclass
+class Loop:
+    """Everything that the loop looks at."""
+
+    guard: Guard
+    port: str
+    """Empty: none is opened."""
+    policy: socket.socket
+    inputs: list[Keyboard | Datagrams]
+    polled: Sequence[Joystick | StopFile]
+    signals: socket.socket
+    black_box: BlackBox
+    say: Callable[[str], None]
+    clock: Callable[[], float] = time.monotonic
+    link: SerialLink | None = None
+    status: int | None = None
+    """What the process will end with, once something ends it."""
+    _policy_ended: bool = False
+    _was_connected: bool = False
+    _parser: FrameParser = field(default_factory=FrameParser)
+    _retry_at: float = math.inf
+    _retry_after: float = FIRST_RETRY
+    _ends_at: float = math.inf
+    _reports_at: float = 0.0
+    _happened: list = field(default_factory=list)
+    """What the guard took in since the last cycle, for the black box."""
+
+    def run(self) -> int:
+        """Runs until something ends it and the car stands; returns `status`.
+
+        Raises UserError where the port cannot be used, or no motor controller answers, at the start.
+        """
+        start = following = self.clock()
+        if self.port:
+            self._open(start)
+        while self.status is None or (self.guard.state in MOVING and self.clock() < self._ends_at):
+            before = self.guard.state, self.guard.fault
+            self._listen(max(0.0, following - self.clock()))
+            now = self.clock()
+            if now >= following:
+                following = max(following + PERIOD, now)
+                self._poll(now)
+            elif before == (self.guard.state, self.guard.fault):
+                continue  # nothing that cannot wait for the next period
+            self._cycle(now)
+            self._require_controller(now - start)
+        self._cycle(self.clock())  # the state after the stop sequence has its frames, too
+        return self.status
+
+    def close_link(self) -> None:
+        """Closes the port."""
+        if self.link is not None:
+            self.link.close()
+            self.link = None
+
+    def _take(self, kind: str, value: str, now: float) -> None:
+        self._happened.append([now, kind, value])
+        self.guard.take(kind, value, now)
+
+    def _end(self, status: int, now: float, kind: str = "word", value: str = "stop") -> None:
+        """Stops the car; what ends the process first decides what it ends with."""
+        if self.status is None:
+            self.status, self._ends_at = status, now + END_SECONDS
+            self._take(kind, value, now)
+
+    def _listen(self, seconds: float) -> None:
+        """Waits until something can be read, and reads it."""
+        readers = [self.signals, *self.inputs]
+        if not self._policy_ended:
+            readers.append(self.policy)
+        if self.link is not None:
+            readers.append(self.link)
+        readable = select.select(readers, [], [], seconds)[0]
+        now = self.clock()
+        for reader in readable:
+            if reader is self.signals:
+                self._end(128 + self.signals.recv(1)[0], now)
+            elif reader is self.policy:
+                self._read_policy(now)
+            elif reader is self.link:
+                self._read_link(now)
+            else:
+                self._read_words(reader, now)
+
+    def _read_policy(self, now: float) -> None:
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(MOST_MESSAGES):
+                message = self._receive()
+                if not message:
+                    self._policy_ended = True
+                    if self.guard.policy_ready:
+                        self._end(POLICY_DECIDES, now, "fault", "POLICY_GONE")
+                    self._end(POLICY_DECIDES, now)
+                    return
+                self._take("message", message.hex(), now)
+        with contextlib.suppress(OSError):  # it is told again next time
+            self.policy.send(self.guard.state.value.encode())
+
+    def _receive(self) -> bytes:
+        try:
+            return self.policy.recv(SIZE + 1)
+        except ConnectionError:
+            return b""
+
+    def _read_words(self, reader: Keyboard | Datagrams, now: float) -> None:
+        for word in reader.read():
+            if word in ("quit", "closed"):
+                self._end(0, now)
+            else:
+                self._take("word", word, now)
+            if word == "closed":
+                self.inputs.remove(reader)
+
+    def _read_link(self, now: float) -> None:
+        try:
+            data = self.link.read()
+        except LinkLost:
+            self._lose_link(now)
+            return
+        for payload in self._parser.feed(data, now):
+            self._take("payload", payload.hex(), now)
+
+    def _poll(self, now: float) -> None:
+        """What has to be asked for, once a period."""
+        for one in self.polled:
+            for word in one.poll():
+                self._take("word", word, now)
+        if now >= self._retry_at:
+            try:
+                self._open(now)
+            except UserError:
+                self._retry_after = min(2 * self._retry_after, LAST_RETRY)
+                self._retry_at = now + self._retry_after
+        if not self.port and now >= self._reports_at:
+            self._reports_at = now + 1
+            command = self.guard.commands.command
+            if command is not None:
+                self.say(f"steering {command.steering:+.3f} rad, picture {1000 * (now - command.taken):.0f} ms old")
+
+    def _cycle(self, now: float) -> None:
+        """What the guard says to it, goes out."""
+        frames = b"".join(self.guard.tick(now))
+        self._record(frames, now)
+        if frames:
+            self._write(frames, now)
+        for note in self.guard.notes:
+            self.say(note)
+        self.guard.notes.clear()
+
+    def _write(self, frames: bytes, now: float) -> None:
+        try:
+            self.link.write(frames)
+        except LinkBlocked:
+            self._take("fault", "LINK_BLOCKED", now)
+            self.link.drop_waiting()
+        except LinkLost:
+            self._lose_link(now)
+
+    def _open(self, now: float) -> None:
+        self.link = SerialLink(self.port)
+        self._parser = FrameParser()
+        self._retry_at, self._retry_after = math.inf, FIRST_RETRY
+        self._take("link", "up", now)
+
+    def _lose_link(self, now: float) -> None:
+        self.close_link()
+        self._retry_at = now + self._retry_after
+        self._take("link", "down", now)
+
+    def _require_controller(self, seconds: float) -> None:
+        """A port without a motor controller is refused at the start; later it is a fault."""
+        firmware = self.guard.firmware
+        if not self.port or self._was_connected:
+            return
+        if firmware is not None and firmware[0] < OLDEST_FIRMWARE:
+            raise UserError(
+                f"{self.port}: the controller's firmware {firmware[0]}.{firmware[1]} speaks another protocol; "
+                f"update it to {OLDEST_FIRMWARE} or newer with VESC Tool"
+            )
+        self._was_connected = firmware is not None
+        if not self._was_connected and seconds > FIRMWARE_SECONDS:
+            raise UserError(f"{self.port}: nothing there answers as a VESC does; give the motor controller's port")
+
+    def _record(self, frames: bytes, now: float) -> None:
+        guard, command, values = self.guard, self.guard.commands.command, self.guard.controller.values
+        self.black_box.add(
+            {
+                "t": now,
+                "in": self._happened,
+                "state": guard.state.value,
+                "fault": guard.fault and guard.fault.name,
+                "out": frames.hex(),
+                "steering": guard.point.steering,
+                "speed": guard.point.speed,
+                "number": command and command.number,
+                "wanted": command and [command.steering, command.speed],
+                "picture_age": command and now - command.taken,
+                "erpm": values and values.erpm,
+                "volts": values and values.voltage,
+            }
+        )
+        self._happened = []

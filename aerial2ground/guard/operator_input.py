@@ -1,0 +1,155 @@
+"""The operator's words and signs: keyboard or standard input, joystick, datagrams, and a file that stops the car.
+
+Words come from standard input: `check`, `yes`, `no`, `arm`, `stop`, `quit`, each with Enter. The space bar is the
+emergency stop, at once. The dead-man is one of: the key `g`, held down; a button of a joystick; datagrams.
+"""
+
+import os
+import select
+import socket
+import struct
+import termios
+import tty
+from pathlib import Path
+
+from hashnerf.errors import UserError
+
+DEAD_MAN_KEY, E_STOP_KEY = b"g", b" "
+LONGEST_WORD = 16
+_JOYSTICK = struct.Struct("IhBB")
+"""Time, value, kind, number: linux/joystick.h."""
+_BUTTON = 1
+
+
+class Keyboard:
+    """Standard input, from a terminal or from a program; gives `closed` at its end."""
+
+    def __init__(self, descriptor: int, dead_man: bool):
+        """Reads from a descriptor; its key `g` is the dead-man only where it is said to be."""
+        self._descriptor, self._dead_man = descriptor, dead_man
+        self._word = b""
+        self._saved = termios.tcgetattr(descriptor) if os.isatty(descriptor) else None
+        if self._saved is not None:
+            tty.setcbreak(descriptor)
+
+    def fileno(self) -> int:
+        """For select."""
+        return self._descriptor
+
+    def read(self) -> list[str]:
+        """Returns the words that are whole; to be called when there is something to read."""
+        try:
+            data = os.read(self._descriptor, 4096)
+        except OSError:  # the terminal is gone
+            data = b""
+        words = [] if data else ["closed"]
+        for code in data:
+            key = bytes([code])
+            if key == E_STOP_KEY:
+                self._word = b""
+                words.append("estop")
+            elif key == DEAD_MAN_KEY:
+                words += ["held"] if self._dead_man else []
+            elif key in b"\r\n":
+                if self._word:
+                    words.append(self._word.decode("ascii", errors="replace"))
+                self._word = b""
+            else:
+                self._word = (self._word + key)[-LONGEST_WORD:]
+        return words
+
+    def close(self) -> None:
+        """Gives the terminal back as it was."""
+        if self._saved is not None:
+            termios.tcsetattr(self._descriptor, termios.TCSANOW, self._saved)
+
+
+class Joystick:
+    """A button of a joystick of Linux, `/dev/input/js0:5`: held while it is down, released when it is gone."""
+
+    def __init__(self, name: str):
+        """Opens it; raises UserError where there is none."""
+        path, _, button = name.partition(":")
+        if not button.isdecimal():
+            raise UserError(f"--dead_man {name}: say which button of the joystick is the dead-man, as {path}:5")
+        try:
+            self._descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        except OSError as error:
+            raise UserError(f"{path}: no joystick can be read here ({error.strerror}); plug it in") from error
+        self._button, self._down, self._gone = int(button), False, False
+
+    def poll(self) -> list[str]:
+        """Returns `held` while the button is down, `released` when it has come up."""
+        was_down = self._down
+        try:
+            while not self._gone and (event := os.read(self._descriptor, _JOYSTICK.size)):
+                _, value, kind, number = _JOYSTICK.unpack(event)
+                if kind == _BUTTON and number == self._button:
+                    self._down = bool(value)
+        except BlockingIOError:
+            pass
+        except (OSError, struct.error):
+            self._gone, self._down = True, False
+        if self._down:
+            return ["held"]
+        return ["released"] if was_down else []
+
+    def close(self) -> None:
+        """Closes it."""
+        os.close(self._descriptor)
+
+
+class Datagrams:
+    """Words of one datagram each, for a remote control of one's own: `held`, `released`, `estop`."""
+
+    def __init__(self, address: str, dead_man: bool):
+        """Listens at HOST:PORT, for `held` only where it is the dead-man; raises UserError where it cannot."""
+        self._words = ("held", "released", "estop") if dead_man else ("estop",)
+        host, _, port = address.rpartition(":")
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.bind((host, int(port)))
+        except (OSError, ValueError, OverflowError) as error:
+            self._socket.close()
+            raise UserError(
+                f"--operator {address}: cannot listen there ({error}); give HOST:PORT of this machine"
+            ) from error
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port that it listens at."""
+        return self._socket.getsockname()
+
+    def fileno(self) -> int:
+        """For select."""
+        return self._socket.fileno()
+
+    def read(self) -> list[str]:
+        """Returns the words that have come; anything else is not for us."""
+        words = []
+        while select.select([self._socket], [], [], 0)[0]:
+            word = self._socket.recv(64).decode("ascii", errors="replace")
+            if word in self._words:
+                words.append(word)
+        return words
+
+    def close(self) -> None:
+        """Stops listening."""
+        self._socket.close()
+
+
+class StopFile:
+    """A file whose appearance is an emergency stop: `touch` it from anywhere."""
+
+    def __init__(self, path: str):
+        self._path = Path(path)
+        self._there = False
+
+    def poll(self) -> list[str]:
+        """Returns `estop` once when the file has appeared, and again when it has been removed and appears again."""
+        was_there, self._there = self._there, self._path.exists()
+        return ["estop"] if self._there and not was_there else []
+
+    def close(self) -> None:
+        """Nothing to close."""
