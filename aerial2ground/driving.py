@@ -103,7 +103,7 @@ def drive(
 
     The speed is not the policy's: it is nominal, and less near `obstacles` (x, y) ahead (III-C).
     """
-    state = _start(path, config, pursuit, rng)
+    state = disturbed_start(path, config, pursuit, rng)
     smooth = LowPass(pursuit.low_pass)
     lateral, heading, track, put_back, put_back_at = [], [], [], [], []
     step = config.tick / config.motion_ticks
@@ -141,7 +141,8 @@ def drive(
     )
 
 
-def _start(path: Path, config: DriveConfig, pursuit: PurePursuitConfig, rng: np.random.Generator) -> CarState:
+def disturbed_start(path: Path, config: DriveConfig, pursuit: PurePursuitConfig, rng: np.random.Generator) -> CarState:
+    """Returns a state somewhere on a closed path, or at the start of an open one, off it as configured."""
     place = rng.uniform(0, path.length) if path.closed else 0.0
     aside = rng.uniform(-1, 1, 1) * config.start_lateral
     turn = np.radians(rng.uniform(-1, 1, 1) * config.start_heading)

@@ -33,6 +33,10 @@ class PolicyInfo:
     """3 (red, green, blue) or 4 (and depth)."""
     steering_limit: float
     """Radians that an answer of 1 of the network stands for; answers are not clipped to it."""
+    field_of_view: float
+    """Degrees across of the pinhole camera that it was trained for."""
+    pitch: float
+    """Degrees above the horizon of that camera."""
     depth_range: float = 0.0
     """Metres that 255 in the depth channel stands for; 0 without depth."""
     version: str = ""
@@ -53,6 +57,10 @@ class PolicyInfo:
             raise UserError(f"the size {self.width} x {self.height} is no picture")
         if not 0 < self.steering_limit < math.pi / 2:
             raise UserError(f"the steering limit {self.steering_limit} is no angle in radians")
+        if not 10 <= self.field_of_view <= 150:
+            raise UserError(f"the field of view {self.field_of_view} is not 10 to 150 degrees")
+        if not -80 <= self.pitch <= 80:
+            raise UserError(f"the pitch {self.pitch} is not -80 to 80 degrees")
         if not (0 < self.depth_range < math.inf if self.channels == 4 else self.depth_range == 0):
             raise UserError(f"the depth range {self.depth_range} does not fit {self.channels} channels")
 

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import UInt8
 from torch import nn
 
+from aerial2ground.car_camera import CarCameraConfig
 from aerial2ground.config import AerialConfig
 from aerial2ground.exported_policy import COLOUR_ORDERS, ExportedPolicy, PolicyInfo, policy_from_bytes
 from aerial2ground.imitation import network_answer
@@ -41,19 +42,27 @@ class Export:
     """Largest difference from torch, radians."""
 
 
-def export_policy(path: Path, network: PictureNetwork, limit: float, depth_range: float = 0.0) -> Export:
-    """Writes a network that answers steering over `limit` (rad) as a policy file; `depth_range` (m) belongs to depth.
+def export_policy(path: Path, network: PictureNetwork, limit: float, camera: CarCameraConfig) -> Export:
+    """Writes a network that answers steering over `limit` (rad) and was trained for `camera` as a policy file.
 
-    Raises UserError where the extra `export` is missing, or where the file steers otherwise than the network by more
-    than `PARITY` on black, white and random pictures: then nothing is written.
+    Raises UserError where the extra `export` is missing, where the camera's pictures have another size than the
+    network's, or where the file steers otherwise than the network by more than `PARITY` on black, white and random
+    pictures: then nothing is written.
     """
     height, width, channels = network.height, network.width, 4 if network.config.depth else 3
+    if (camera.width, camera.height) != (width, height):
+        raise UserError(
+            f"{path}: the network reads {width} x {height} pixels, but camera.width and camera.height are "
+            f"{camera.width} x {camera.height}; give the camera that it was trained for"
+        )
     info = PolicyInfo(
         width,
         height,
         channels,
         limit,
-        depth_range if network.config.depth else 0.0,
+        camera.field_of_view,
+        camera.pitch,
+        camera.depth_range if network.config.depth else 0.0,
         project_version(),
         colour_order=COLOUR_ORDERS[channels],
     )
@@ -68,7 +77,7 @@ def export_policy(path: Path, network: PictureNetwork, limit: float, depth_range
 def export_trained(folder: Path, config: AerialConfig) -> Export:
     """Exports the network of `folder`, which is a checkpoint of `stages.save_network`, into that folder."""
     network = load_network(folder, config.imitation.task.network)
-    return export_policy(folder / FILE, network, config.car.steering_limit, config.camera.depth_range)
+    return export_policy(folder / FILE, network, config.car.steering_limit, config.camera)
 
 
 def trained_folders(folder: Path) -> list[Path]:

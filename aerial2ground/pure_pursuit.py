@@ -106,12 +106,21 @@ class LowPass:
         self.share = share
         self.value: float | None = None
 
-    def __call__(self, value: float) -> float:
-        """Takes in a command; returns the filtered one.
+    def __call__(self, value: float, share: float | None = None) -> float:
+        """Takes in a command, by another share where one is given; returns the filtered one.
 
         Raises UserError for a command that is not finite and forgets it: one would stay in the average for good.
         """
         if not math.isfinite(value):
             raise UserError(f"the command {value} is no steering angle; stop the car")
-        self.value = value if self.value is None else (1 - self.share) * self.value + self.share * value
+        share = self.share if share is None else share
+        self.value = value if self.value is None else (1 - share) * self.value + share * value
         return self.value
+
+
+def share_after(seconds: float, time_constant: float) -> float:
+    """Returns the share that a low-pass of this time constant (s) gives a command `seconds` after the last one.
+
+    Half each 0.1 s is a time constant of 0.1 / ln 2 = 0.144 s. Without a time constant (0) nothing is smoothed.
+    """
+    return -math.expm1(-max(seconds, 0.0) / time_constant) if time_constant > 0 else 1.0

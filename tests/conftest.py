@@ -26,10 +26,11 @@ def seeded() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks the tests that measure numbered rows: `pytest -m numeric` runs them alone."""
+    """Marks the tests that measure numbered rows: `pytest -m numeric`, or `-m bridge`, runs them alone."""
     for item in items:
-        if "numeric_row" in getattr(item, "fixturenames", ()):
-            item.add_marker(pytest.mark.numeric)
+        for fixture, marker in (("numeric_row", pytest.mark.numeric), ("bridge_row", pytest.mark.bridge)):
+            if fixture in getattr(item, "fixturenames", ()):
+                item.add_marker(marker)
 
 
 @pytest.fixture(autouse=True)
@@ -61,5 +62,21 @@ def numeric_row(
         assert row.lower() in request.node.originalname.split("_"), f"{row} is missing in the name of the test"
         record_property("numeric_row", json.dumps([row, inputs, float(worst), float(accepted)]))
         assert worst <= accepted, f"{row}, {inputs}: {worst} is more than {accepted}"
+
+    return measure
+
+
+@pytest.fixture
+def bridge_row(request: pytest.FixtureRequest, record_property: Callable[[str, object], None]) -> Callable[..., None]:
+    """Measures a requirement of docs/results/bridge.md: its number, what was done, the figure, the most allowed, unit.
+
+    The requirement's number stands in the test's name. Where it says yes or no, the figure is the number of violations.
+    `slack` times as much still passes: for times that are measured while other tests run beside.
+    """
+
+    def measure(row: str, what: str, measured: float, required: float, unit: str = "", slack: float = 1.0) -> None:
+        assert row.lower() in request.node.originalname.split("_"), f"{row} is missing in the name of the test"
+        record_property("bridge_row", json.dumps([row, what, float(measured), float(required), unit]))
+        assert measured <= required * slack, f"{row}, {what}: {measured} {unit} is more than {required}"
 
     return measure

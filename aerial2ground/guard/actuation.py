@@ -74,7 +74,7 @@ class Actuation:
         self._require("highest_voltage", self.lowest_voltage, 60, "give volts above lowest_voltage (three cells: 13)")
         self._require("highest_temperature", 30, 120, "give degrees Celsius (80)")
 
-    def _require(self, key: str, low: float, high: float, what_to_do: str) -> None:
+    def _require(self, key: str, low: float | int, high: float | int, what_to_do: str) -> None:
         if not low <= getattr(self, key) <= high:
             raise UserError(f"{key} is {getattr(self, key)}; {what_to_do}")
 

@@ -116,19 +116,24 @@ class WheelCheck:
         self.confirmed = False
         self._limit = limit
         self._start = -math.inf
+        self._turned: set[float] = set()
+        """Sides to which they were: 0 and 1. None, while nothing can be sent or the car rolls."""
 
     def begin(self, now: float) -> None:
         """Starts to turn them."""
-        self._start, self.confirmed = now, False
+        self._start, self.confirmed, self._turned = now, False, set()
 
     def angle(self, now: float) -> float:
         """The steering angle that is asked for, radians."""
         step = (now - self._start) // WHEELS
-        return {0: self._limit / 2, 1: -self._limit / 2}.get(step, 0.0)
+        if step not in (0, 1):
+            return 0.0
+        self._turned.add(step)
+        return self._limit / 2 if step == 0 else -self._limit / 2
 
     def answer(self, well: bool, now: float) -> bool:
         """Takes the operator's word; returns whether it was asked for: not before the wheels have turned both ways."""
-        asked = math.inf > now - self._start >= 2 * WHEELS
+        asked = {0, 1} <= self._turned and now - self._start >= 2 * WHEELS
         if asked:
             self.confirmed = well
         return asked

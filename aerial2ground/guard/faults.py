@@ -8,7 +8,7 @@ class Fault(enum.Enum):
 
     E_STOP = "emergency stop: make the car safe, then arm anew"
     POLICY_GONE = "the policy's process ended: its last words stand above"
-    POLICY_SILENT = "no command for 150 ms: the computer is overloaded or the policy hangs"
+    POLICY_SILENT = "no command for 120 ms: the computer is overloaded or the policy hangs"
     BAD_COMMAND = "a command that no sound policy sends: look for it in the log before driving again"
     PICTURES_OLD = "the newest picture is 250 ms old: look at the camera, its cable and its rate"
     PICTURES_FROZEN = "ten pictures in a row are the same to the bit: the camera hangs, restart it"

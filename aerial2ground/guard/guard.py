@@ -83,7 +83,7 @@ class Guard:
         self.firmware, self._linked, self._asked = None, linked, -math.inf
         self.controller = ControllerWatch(self._car)
         self.probe, self._told = TimeoutProbe(self._settings.accept_esc_timeout), False
-        self.wheels.confirmed = False
+        self.wheels = WheelCheck(self._car.steering_limit)
         if not linked:
             self.raise_fault(Fault.LINK_LOST, now)
 
@@ -153,17 +153,18 @@ class Guard:
         self._judge(now)
         if not self._linked:
             return []
-        if self.firmware is None:
+        if self.firmware is None or self.firmware[0] < OLDEST_FIRMWARE:  # to which our numbers may mean other things
             if now - self._asked < ASK_AGAIN:
                 return []
             self._asked = now
             return [query(FW_VERSION)]
         if not self.policy_ready:
             return []
-        probing = self.probe.frames(now)
+        # a car that may still roll is braked, not measured
+        probing = None if self.state is State.STOPPING else self.probe.frames(now)
         if probing is not None:
             return probing
-        if not self._told:
+        if not self._told and self.probe.seconds is not None:
             self._told = True
             self.notes.append(self.probe.finding())
         motor = self._drive(now) if self.state is State.ARMED else self._stand(now)
@@ -184,7 +185,7 @@ class Guard:
                 self.raise_fault(fault, now)
             elif not self.dead_man.is_held(now):
                 self._happen(Event.STOP, now, "the dead-man was let go")
-            elif now - self._entered > self._settings.time_limit:
+            elif not now - self._entered <= self._settings.time_limit:  # so that NaN ends it, too
                 self._happen(Event.STOP, now, f"{self._settings.time_limit:g} s are over")
         elif self.state is State.STOPPING:
             self._end_stop(standing, now)

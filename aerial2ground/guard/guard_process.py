@@ -80,15 +80,16 @@ def run_guard(settings: ProcessSettings) -> int:
         announcer = Announcer(sys.stdout)
         stack.callback(announcer.close)
         inputs: list[Keyboard | Datagrams] = [Keyboard(sys.stdin.fileno(), settings.dead_man == KEY)]
+        stack.callback(inputs[0].close)  # whatever fails below, the terminal is given back
         if settings.operator:
             inputs.append(Datagrams(settings.operator, settings.dead_man == DATAGRAMS))
+            stack.callback(inputs[1].close)
         polled: list[Joystick | StopFile] = []
         if settings.dead_man not in (KEY, DATAGRAMS):
             polled.append(Joystick(settings.dead_man))
+            stack.callback(polled[0].close)
         if settings.stop_file:
             polled.append(StopFile(settings.stop_file))
-        for one in (*inputs, *polled):
-            stack.callback(one.close)
         black_box = BlackBox(Path(settings.log))
         stack.callback(black_box.close)
         black_box.add({"actuation": settings.actuation, "guard": settings.guard})

@@ -13,10 +13,10 @@ from aerial2ground.guard.faults import Fault
 from aerial2ground.guard.messages import Command, unpack
 from aerial2ground.guard.vesc import Values
 
-COMMAND_SLOW, COMMAND_OLD = 0.1, 0.15
+COMMAND_SLOW, COMMAND_OLD = 0.1, 0.12
 PICTURE_SLOW, PICTURE_OLD = 0.15, 0.25
 VALUES_SLOW, VALUES_OLD = 0.3, 0.5
-"""Seconds."""
+"""Seconds. A command is old 30 ms before the 150 within which the car must brake: a period may pass meanwhile."""
 SAME_PICTURES = 10
 FRESH_PICTURES, FRESH_WITHIN = 10, 0.5
 BATTERY_SECONDS, MISMATCH_SECONDS = 0.5, 1.0

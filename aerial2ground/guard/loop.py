@@ -146,7 +146,7 @@ class Loop:
                         self._end(POLICY_DECIDES, now, "fault", "POLICY_GONE")
                     self._end(POLICY_DECIDES, now)
                     return
-                self._take("message", message.hex(), now)
+                self._take("message", message.hex(), self.clock())  # it may have been sent after `now`
         with contextlib.suppress(OSError):  # it is told again next time
             self.policy.send(self.guard.state.value.encode())
 
@@ -164,6 +164,7 @@ class Loop:
                 self._take("word", word, now)
             if word == "closed":
                 self.inputs.remove(reader)
+                self.say("standard input is closed: nobody could stop the car, so this ends")
 
     def _read_link(self, now: float) -> None:
         try:
@@ -206,6 +207,12 @@ class Loop:
             self.link.write(frames)
         except LinkBlocked:
             self._take("fault", "LINK_BLOCKED", now)
+            self._drop_waiting(now)
+        except LinkLost:
+            self._lose_link(now)
+
+    def _drop_waiting(self, now: float) -> None:
+        try:
             self.link.drop_waiting()
         except LinkLost:
             self._lose_link(now)

@@ -4,21 +4,24 @@ Words come from standard input: `check`, `yes`, `no`, `arm`, `stop`, `quit`, eac
 emergency stop, at once. The dead-man is one of: the key `g`, held down; a button of a joystick; datagrams.
 """
 
+import contextlib
 import os
-import select
 import socket
 import struct
 import termios
 import tty
-from pathlib import Path
 
 from hashnerf.errors import UserError
 
 DEAD_MAN_KEY, E_STOP_KEY = b"g", b" "
 LONGEST_WORD = 16
+MOST_AT_ONCE = 100
+"""Signs taken in one go, so that a sender that floods us does not hold up the loop."""
 _JOYSTICK = struct.Struct("IhBB")
 """Time, value, kind, number: linux/joystick.h."""
 _BUTTON = 1
+_SIGNS = ("held", "released", "closed")
+"""What is no word, whoever types it."""
 
 
 class Keyboard:
@@ -51,8 +54,9 @@ class Keyboard:
             elif key == DEAD_MAN_KEY:
                 words += ["held"] if self._dead_man else []
             elif key in b"\r\n":
-                if self._word:
-                    words.append(self._word.decode("ascii", errors="replace"))
+                word = self._word.decode("ascii", errors="replace")
+                if word:
+                    words.append(f"{word} (typed)" if word in _SIGNS else word)
                 self._word = b""
             else:
                 self._word = (self._word + key)[-LONGEST_WORD:]
@@ -82,13 +86,13 @@ class Joystick:
         """Returns `held` while the button is down, `released` when it has come up."""
         was_down = self._down
         try:
-            while not self._gone and (event := os.read(self._descriptor, _JOYSTICK.size)):
-                _, value, kind, number = _JOYSTICK.unpack(event)
+            for _ in range(0 if self._gone else MOST_AT_ONCE):
+                _, value, kind, number = _JOYSTICK.unpack(os.read(self._descriptor, _JOYSTICK.size))
                 if kind == _BUTTON and number == self._button:
                     self._down = bool(value)
         except BlockingIOError:
             pass
-        except (OSError, struct.error):
+        except (OSError, struct.error):  # unplugged, or at its end: nobody holds it any more
             self._gone, self._down = True, False
         if self._down:
             return ["held"]
@@ -128,10 +132,11 @@ class Datagrams:
     def read(self) -> list[str]:
         """Returns the words that have come; anything else is not for us."""
         words = []
-        while select.select([self._socket], [], [], 0)[0]:
-            word = self._socket.recv(64).decode("ascii", errors="replace")
-            if word in self._words:
-                words.append(word)
+        with contextlib.suppress(OSError):  # no more are there; a damaged one is readable until it is looked at
+            for _ in range(MOST_AT_ONCE):
+                word = self._socket.recv(64).decode("ascii", errors="replace")
+                if word in self._words:
+                    words.append(word)
         return words
 
     def close(self) -> None:
@@ -143,13 +148,10 @@ class StopFile:
     """A file whose appearance is an emergency stop: `touch` it from anywhere."""
 
     def __init__(self, path: str):
-        self._path = Path(path)
+        self._path = path
         self._there = False
 
     def poll(self) -> list[str]:
         """Returns `estop` once when the file has appeared, and again when it has been removed and appears again."""
-        was_there, self._there = self._there, self._path.exists()
+        was_there, self._there = self._there, os.path.exists(self._path)
         return ["estop"] if self._there and not was_there else []
-
-    def close(self) -> None:
-        """Nothing to close."""

@@ -69,7 +69,7 @@ def query(command: int) -> bytes:
 
 def _whole(value: float, scale: int, bound: int) -> int:
     """A set-point as the wire's integer; raises ValueError where it is none: NaN must not become full reverse."""
-    if not math.isfinite(value) or abs(round(value * scale)) >= bound:
+    if not math.isfinite(value * scale) or abs(round(value * scale)) >= bound:
         raise ValueError(f"{value} is no set-point")
     return round(value * scale)
 

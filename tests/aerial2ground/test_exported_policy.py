@@ -10,14 +10,15 @@ import onnx
 import pytest
 import torch
 
+from aerial2ground.car_camera import CarCameraConfig
 from aerial2ground.exported_policy import PolicyInfo, load_exported, policy_from_bytes
 from aerial2ground.networks import NetworkConfig, PictureNetwork
 from aerial2ground.policy_export import export_policy, policy_bytes
 from hashnerf.errors import UserError
 
 ROOT = Path(__file__).resolve().parents[2]
-INFO = PolicyInfo(32, 18, 3, 0.4189)
-DEEP = PolicyInfo(32, 18, 4, 0.4189, 4.0, "0.1.0", colour_order="RGBD")
+INFO = PolicyInfo(32, 18, 3, 0.4189, 100.0, -6.0)
+DEEP = PolicyInfo(32, 18, 4, 0.4189, 100.0, 0.5, 4.0, "0.1.0", colour_order="RGBD")
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +120,11 @@ def told(key, value):
     "change, sentence",
     [
         (without("steering_limit"), "lacks steering_limit; export the policy"),
-        (lambda model: model.ClearField("metadata_props"), "lacks width, height, channels, steering_limit"),
+        (lambda model: model.ClearField("metadata_props"), "lacks width, height, channels, steering_limit, field_of_view, pitch"),
+        (without("field_of_view"), "lacks field_of_view; export the policy with scripts/export_policy.py"),
+        (without("pitch"), "lacks pitch; export the policy"),
+        (told("field_of_view", "1.745"), "the field of view 1.745 is not 10 to 150 degrees"),
+        (told("pitch", "nan"), "the pitch nan is not -80 to 80 degrees"),
         (told("width", "thirty"), "invalid literal"),
         (told("steering_limit", "nan"), "the steering limit nan is no angle"),
         (told("steering_limit", "24"), "the steering limit 24.0 is no angle"),
@@ -168,6 +173,6 @@ def test_impossible_policies(changes):
 
 def test_a_moved_file_still_steers(tmp_path):
     network = PictureNetwork(NetworkConfig(depth=True), 18, 32, 1)
-    export = export_policy(tmp_path / "a" / "policy.onnx", network, 0.4, 4.0)
+    export = export_policy(tmp_path / "a" / "policy.onnx", network, 0.4, CarCameraConfig(32, 18))
     moved = export.path.rename(tmp_path / "moved.onnx")
     assert load_exported(moved).info.shape == (18, 32, 4) and load_exported(moved).info.depth_range == 4.0

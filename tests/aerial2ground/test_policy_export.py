@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import torch
 from torch import nn
 
 from aerial2ground.car import CarConfig
+from aerial2ground.car_camera import CarCameraConfig
 from aerial2ground.driving import DriveConfig, drive
 from aerial2ground.exported_policy import load_exported
 from aerial2ground.imitation import network_policy
@@ -55,8 +57,12 @@ def lively(config=PAPER, height=36, width=64, seed=0) -> PictureNetwork:
     return network.eval()
 
 
-def exported(tmp_path, network, depth_range=4.0):
-    return load_exported(export_policy(tmp_path / "policy.onnx", network, LIMIT, depth_range).path)
+CAMERA = CarCameraConfig(width=64, height=36, field_of_view=90.0, pitch=-4.0, depth_range=3.0)
+
+
+def exported(tmp_path, network):
+    camera = replace(CAMERA, width=network.width, height=network.height)
+    return load_exported(export_policy(tmp_path / "policy.onnx", network, LIMIT, camera).path)
 
 
 @pytest.mark.parametrize("size", [(36, 64), (120, 160), (17, 31)])
@@ -107,7 +113,7 @@ def test_a_file_that_steers_otherwise_is_not_written(tmp_path, monkeypatch, brok
     (tmp_path / "policy.onnx").write_bytes(b"old")
     monkeypatch.setattr("aerial2ground.policy_export.policy_bytes", wrong)
     with pytest.raises(UserError, match="rad otherwise than the network, over 1e-05; not written"):
-        export_policy(tmp_path / "policy.onnx", lively(), LIMIT)
+        export_policy(tmp_path / "policy.onnx", lively(), LIMIT, CAMERA)
     assert [(one.name, one.read_bytes()) for one in tmp_path.iterdir()] == [("policy.onnx", b"old")]
 
 
@@ -116,7 +122,13 @@ def test_networks_with_broken_weights_are_not_exported(tmp_path):
     with torch.no_grad():
         network.head[-1].bias.fill_(math.nan)
     with pytest.raises(UserError, match="answers nan"):
-        export_policy(tmp_path / "policy.onnx", network, LIMIT)
+        export_policy(tmp_path / "policy.onnx", network, LIMIT, CAMERA)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_network_of_another_size_than_the_camera_is_not_exported(tmp_path):
+    with pytest.raises(UserError, match=r"reads 96 x 54 pixels, but camera.width and camera.height are 64 x 36"):
+        export_policy(tmp_path / "policy.onnx", lively(PAPER, 54, 96), LIMIT, CAMERA)
     assert not list(tmp_path.iterdir())
 
 
@@ -140,8 +152,8 @@ def test_the_mode_of_the_network_does_not_matter_and_stays(tmp_path):
 
 
 def test_the_file_is_self_contained_repeatable_and_says_what_it_is(tmp_path):
-    one = export_policy(tmp_path / "one.onnx", lively(NetworkConfig(depth=True)), LIMIT, 4.0)
-    two = export_policy(tmp_path / "two.onnx", lively(NetworkConfig(depth=True)), LIMIT, 4.0)
+    one = export_policy(tmp_path / "one.onnx", lively(NetworkConfig(depth=True)), LIMIT, CAMERA)
+    two = export_policy(tmp_path / "two.onnx", lively(NetworkConfig(depth=True)), LIMIT, CAMERA)
     assert one.path.read_bytes() == two.path.read_bytes() and one.size == one.path.stat().st_size
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one.onnx", "two.onnx"]
     model = onnx.load(one.path)
@@ -159,7 +171,9 @@ def test_the_file_is_self_contained_repeatable_and_says_what_it_is(tmp_path):
         "colour_order": "RGBD",
         "units": "radians, positive to the left",
         "steering_limit": "0.4189",
-        "depth_range": "4.0",
+        "depth_range": "3.0",
+        "field_of_view": "90.0",
+        "pitch": "-4.0",
     }
 
 
@@ -178,13 +192,13 @@ def test_nothing_of_the_extra_is_imported_at_start_up():
 def test_without_onnx_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnx", None)
     with pytest.raises(UserError, match=r"needs the extra `export`: pip install -e \.\[export\]"):
-        export_policy(tmp_path / "policy.onnx", lively(), LIMIT)
+        export_policy(tmp_path / "policy.onnx", lively(), LIMIT, CAMERA)
 
 
 def test_a_place_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(UserError, match="cannot be written"):
-        export_policy(tmp_path / "file" / "policy.onnx", lively(), LIMIT)
+        export_policy(tmp_path / "file" / "policy.onnx", lively(), LIMIT, CAMERA)
 
 
 def test_exported_policies_steer_like_their_networks_in_a_drive(tmp_path):
@@ -221,5 +235,7 @@ def test_every_trained_network_of_a_run(tiny_run):
     exports = [export_trained(folder, tiny_run) for folder in folders]
     assert all(one.path == folder / "policy.onnx" for one, folder in zip(exports, folders))
     assert all(one.parity <= PARITY for one in exports)
-    assert load_exported(exports[0].path).info.shape == (18, 32, 3)
+    info, camera = load_exported(exports[0].path).info, tiny_run.camera
+    assert info.shape == (18, 32, 3)
+    assert (info.field_of_view, info.pitch) == (camera.field_of_view, camera.pitch) == (100.0, -6.0)
     assert trained_folders(tiny_run.folder / "policies") == folders
