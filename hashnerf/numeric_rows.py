@@ -32,6 +32,7 @@ class Measured:
     worst: float
     accepted: float
     test: str
+    unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -59,16 +60,17 @@ def run_rows(precision: str, processes: int) -> RowsRun:
         return read_run(Path(folder) / "tests.xml")
 
 
-def read_run(report: Path) -> RowsRun:
-    """Returns what a JUnit report of pytest holds of rows."""
+def read_run(report: Path, fixture: str = "numeric_row") -> RowsRun:
+    """Returns what a JUnit report of pytest holds of rows that were measured with a fixture."""
     lines: list[Measured] = []
     passed = {}
     for case in ElementTree.parse(report).iter("testcase"):
         test = f"{case.get('classname')}.{case.get('name')}"
         passed[test] = case.find("failure") is None and case.find("error") is None
         for entry in case.iter("property"):
-            if entry.get("name") == "numeric_row":
-                lines.append(Measured(*json.loads(entry.get("value")), test))
+            if entry.get("name") == fixture:
+                row, inputs, worst, accepted, *unit = json.loads(entry.get("value"))
+                lines.append(Measured(row, inputs, worst, accepted, test, *unit))
     return RowsRun(tuple(lines), passed)
 
 

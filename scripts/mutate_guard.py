@@ -25,7 +25,7 @@ class MutateConfig:
     """Pattern of the mutated files, from the root of the repository."""
     tests: str = "tests/aerial2ground/guard"
     """Folder or file of tests."""
-    out: Path = Path("runs/bridge/mutants.json")
+    out: Path = Path("runs/bridge_evidence/mutants.json")
     """Where the result is written."""
     workers: int = 2
     """Mutants tried at the same time."""

@@ -38,6 +38,13 @@ class CameraCalibration:
     """Tangential distortion, as OpenCV's p2."""
     pitch: float = 0.0
     """Degrees above the horizon; a camera that looks down at the road has a negative one."""
+    stereo: bool = False
+    """Whether the device gives the pictures of two eyes side by side (a ZED without its SDK); the left one is used."""
+
+    @property
+    def device_width(self) -> int:
+        """Pixels across of what the device gives: of both eyes, where it has two."""
+        return 2 * self.width if self.stereo else self.width
 
     def __post_init__(self):
         for key in ("width", "height"):

@@ -5,9 +5,7 @@ sent and heard, and every period's bytes; the fake controller says when they arr
 """
 
 import bisect
-import json
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -25,22 +23,6 @@ STAGES = (
     "write, until the controller has read",
     "all of it",
 )
-
-
-def read_log(folder: Path) -> list[dict]:
-    """Returns the cycles of a black box; raises UserError where there is none or it is damaged before its last line."""
-    logs = sorted(folder.glob("**/log.jsonl"))
-    if not logs:
-        raise UserError(f"{folder}: no black box here; give the --log of a drive")
-    lines = logs[-1].read_text(encoding="utf-8").splitlines()
-    records = []
-    for number, line in enumerate(lines, 1):
-        try:
-            records.append(json.loads(line))
-        except ValueError as error:
-            if number < len(lines):  # the last one may be cut: the power was
-                raise UserError(f"{logs[-1]}: line {number} is no JSON; the log is damaged") from error
-    return records
 
 
 def stage_times(

@@ -176,10 +176,13 @@ def steer(link: socket.socket, settings: PolicySettings) -> None:
             f"{settings.policy}: reads depth as a fourth channel, which the car's camera does not give; "
             "export a policy that was trained without depth"
         )
-    rectify = Rectifier(lens, policy.info)
+    try:
+        rectify = Rectifier(lens, policy.info)
+    except UserError as error:
+        raise UserError(f"{settings.policy}: {error}") from error
     recorder = None
     try:
-        with open_camera(settings.camera, lens.width, lens.height) as camera:
+        with open_camera(settings.camera, lens.device_width, lens.height) as camera:
             recorder = Recorder(Path(settings.record), lens) if settings.record else None
             first = camera.wait(0, 0.0)
             assert first is not None, "an open camera has given a picture"

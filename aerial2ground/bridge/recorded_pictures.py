@@ -113,7 +113,7 @@ def recorded_pictures(folder: Path) -> Iterator[Recorded]:
     recording, and for a picture that is not the one that was recorded.
     """
     lens = recorded_lens(folder)
-    shape = lens.height, lens.width, 3
+    shape = lens.height, lens.device_width, 3
     with open(folder / PICTURES, "rb") as pictures, open(folder / INDEX, encoding="utf-8") as index:
         for line in index:
             if not line.endswith("\n"):

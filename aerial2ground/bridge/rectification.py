@@ -49,14 +49,16 @@ class Rectifier:
     def __call__(self, picture: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "height width 3"]:
         """Returns the policy's picture; raises UserError for a picture of another size than the calibration's."""
         lens, info = self._lens, self._info
-        if picture.shape[:2] != (lens.height, lens.width):
+        if picture.shape[:2] != (lens.height, lens.device_width):
+            eyes = ", two eyes side by side" if lens.stereo else ""
             raise UserError(
                 f"the camera gives pictures of {picture.shape[1]} x {picture.shape[0]} pixels, but the car's file says "
-                f"camera.width and camera.height are {lens.width} x {lens.height}; set the camera or mend the file"
+                f"camera.width and camera.height are {lens.width} x {lens.height}{eyes}; mend either"
             )
+        left = np.ascontiguousarray(picture[:, : lens.width]) if lens.stereo else picture
         if self.identity:
-            return picture
-        mapped = cv2.remap(picture, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            return left
+        mapped = cv2.remap(left, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return cv2.resize(mapped, (info.width, info.height), interpolation=cv2.INTER_AREA)
 
 

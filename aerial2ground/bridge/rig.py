@@ -201,14 +201,17 @@ class BridgeProcess:
 class Rig(BridgeProcess):
     """The bridge with everything around it: motor controller, camera, trial policy."""
 
-    def __init__(self, folder: Path, arguments: Sequence[str] = (), policy: Kind = "constant", start: bool = True):
-        """Starts everything in `folder`; `arguments` are added to those of the script, `policy` is a trial policy."""
+    def __init__(
+        self, folder: Path, arguments: Sequence[str] = (), policy: Kind | Path = "constant", start: bool = True
+    ):
+        """Starts everything in `folder`; `arguments` go to the script, `policy` is a kind of trial policy or a file."""
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self.vesc = FakeVesc(link=folder / "car")
         self.stream = PictureStream()
         self.picture = MovingPicture(self.stream)
-        file = trial_policy(folder / "policy.onnx", policy, WIDTH, HEIGHT)
+        trial = not isinstance(policy, Path)
+        file = trial_policy(folder / "policy.onnx", policy, WIDTH, HEIGHT) if trial else policy.resolve()
         command = deploy_command(file, folder / "car", self.stream.url, ROOT / "configs/cars/mini_city.yaml")
         super().__init__([*command, "--speed", "0.8", "--log", str(folder / "log"), *arguments], start)
 

@@ -86,6 +86,6 @@ class Actuation:
         """Returns the electrical speed (1/min) of a speed (m/s)."""
         return self.speed_to_erpm_gain * speed
 
-    def speed(self, erpm: float) -> float:
+    def speed(self, erpm: float | int) -> float:
         """Returns the speed (m/s) of an electrical speed (1/min)."""
         return erpm / self.speed_to_erpm_gain

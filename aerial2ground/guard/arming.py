@@ -21,14 +21,14 @@ HELD, WHEELS = 0.3, 0.7
 def self_test(actuation: Actuation) -> list[str]:
     """Tries limits and rates on known cases; returns what does not hold, which is nothing in a sound program."""
     failed = []
-    if set_rpm(4614).hex() != "0205080000120607fa03":
+    if set_rpm(4614.0).hex() != "0205080000120607fa03":
         failed.append("frames")
     limit, fastest = actuation.steering_limit, actuation.speed_limit
-    for steering, speed in ((math.nan, 0), (0, math.nan), (limit * 1.01, 0), (0, fastest * 1.01), (0, -0.01)):
-        if not CommandWatch(actuation).accept(Command(1, 1, 1, 1, steering, speed).packed(), 1):
+    for steering, speed in ((math.nan, 0.0), (0.0, math.nan), (limit * 1.01, 0.0), (0.0, fastest * 1.01), (0.0, -0.01)):
+        if not CommandWatch(actuation).accept(Command(1, 1, 1.0, 1.0, steering, speed).packed(), 1.0):
             failed.append(f"refusal of steering {steering:g}, speed {speed:g}")
     point = SetPoint(actuation)
-    point.follow(limit, fastest, 1)
+    point.follow(limit, fastest, 1.0)
     if point.steering > actuation.steering_rate * PERIOD + 1e-9 or point.speed > actuation.acceleration * PERIOD + 1e-9:
         failed.append("rates")
     return failed
@@ -50,7 +50,7 @@ class TimeoutProbe:
             return None
         if self._start is None:
             self._start = now
-            return [set_current(0), query(GET_VALUES)]
+            return [set_current(0.0), query(GET_VALUES)]
         if now - self._start <= LONGEST_WAIT:
             return [query(GET_VALUES)]
         self.seconds = math.inf

@@ -84,7 +84,7 @@ class Guard:
         self.controller = ControllerWatch(self._car)
         self.probe, self._told = TimeoutProbe(self._settings.accept_esc_timeout), False
         self.wheels = WheelCheck(self._car.steering_limit)
-        if not linked:
+        if not linked or self.state is State.ARMED:  # armed was another controller than the one that is there now
             self.raise_fault(Fault.LINK_LOST, now)
 
     def on_payload(self, payload: bytes, now: float) -> None:
@@ -217,13 +217,13 @@ class Guard:
         else:
             self.point.follow(command.steering, command.speed, now)
         erpm = round(self._car.erpm(self.point.speed))
-        return set_rpm(erpm) if erpm > 0 else set_brake(self._car.brake_current)
+        return set_rpm(float(erpm)) if erpm > 0 else set_brake(self._car.brake_current)
 
     def _stand(self, now: float) -> bytes:
         erpm = abs(self._car.erpm(self.controller.speed(now)))
         self.point.stand(self.point.steering if erpm > ROLLING_ERPM else self.wheels.angle(now), now)
         brakes = self.state is State.STOPPING or erpm >= STILL
-        return set_brake(self._car.brake_current) if brakes else set_current(0)
+        return set_brake(self._car.brake_current) if brakes else set_current(0.0)
 
     def _arm(self, now: float) -> None:
         lacking = list(self.lacks(now))

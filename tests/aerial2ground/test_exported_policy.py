@@ -120,7 +120,10 @@ def told(key, value):
     "change, sentence",
     [
         (without("steering_limit"), "lacks steering_limit; export the policy"),
-        (lambda model: model.ClearField("metadata_props"), "lacks width, height, channels, steering_limit, field_of_view, pitch"),
+        (
+            lambda model: model.ClearField("metadata_props"),
+            "lacks width, height, channels, steering_limit, field_of_view, pitch",
+        ),
         (without("field_of_view"), "lacks field_of_view; export the policy with scripts/export_policy.py"),
         (without("pitch"), "lacks pitch; export the policy"),
         (told("field_of_view", "1.745"), "the field of view 1.745 is not 10 to 150 degrees"),

@@ -163,7 +163,7 @@ def test_r27_a_wrong_car_file_is_named_at_once(text, words, tmp_path, bridge_row
     ("made", "words"),
     [
         ({"channels": 4}, "reads depth"),
-        ({"field_of_view": 120.0}, "lies outside the picture of the car's camera"),
+        ({"field_of_view": 120.0}, "policy.onnx: 52 % of the policy's picture"),
         (None, "no such file"),
     ],
 )

@@ -148,3 +148,14 @@ def test_pictures_of_another_size_are_refused():
 def test_the_zed_of_the_f1tenth_file_sees_enough():
     lens = load_car(ROOT / "configs/cars/f1tenth.yaml").camera
     assert Rectifier(lens, INFO)(np.zeros((376, 672, 3), np.uint8)).shape == (27, 48, 3)
+
+
+def test_of_two_eyes_side_by_side_the_left_one_is_used():
+    both = np.concatenate([NOISE, 255 - NOISE], axis=1)
+    two = replace(SAME, stereo=True)
+    assert two.device_width == 96
+    np.testing.assert_array_equal(Rectifier(two, INFO)(both), NOISE)
+    with pytest.raises(UserError, match="two eyes side by side"):
+        Rectifier(two, INFO)(NOISE)
+    with pytest.raises(UserError, match="96 x 27"):
+        Rectifier(SAME, INFO)(both)

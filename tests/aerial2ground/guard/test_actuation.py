@@ -29,20 +29,20 @@ def test_both_ends_of_the_steering_lie_in_the_servos_range():
 
 
 RANGES = {
-    "speed_to_erpm_gain": (100, 100_000),
-    "servo_min": (0, 0.5),
-    "servo_max": (0.5, 1),
+    "speed_to_erpm_gain": (100.0, 100_000.0),
+    "servo_min": (0.0, 0.5),
+    "servo_max": (0.5, 1.0),
     "servo_offset": (0.5304 - 0.0611, 0.5304 + 0.0004),  # so that the steering limit is still reached
     "steering_limit": (0.01, 0.2633),
-    "steering_rate": (0.1, 50),
-    "wheelbase": (0.05, 3),
-    "speed_limit": (0.05, 2),
-    "acceleration": (0.1, 20),
-    "lateral_acceleration": (0.1, 20),
-    "brake_current": (1, 100),
-    "lowest_voltage": (3, 13),
-    "highest_voltage": (9.5, 60),
-    "highest_temperature": (30, 120),
+    "steering_rate": (0.1, 50.0),
+    "wheelbase": (0.05, 3.0),
+    "speed_limit": (0.05, 2.0),
+    "acceleration": (0.1, 20.0),
+    "lateral_acceleration": (0.1, 20.0),
+    "brake_current": (1.0, 100.0),
+    "lowest_voltage": (3.0, 13.0),
+    "highest_voltage": (9.5, 60.0),
+    "highest_temperature": (30.0, 120.0),
 }
 SMALL = {"servo_min": {"steering_limit": 0.02}, "servo_max": {"steering_limit": 0.02, "servo_offset": 0.45}}
 """What else is given, so that the limit in question is the only one that matters."""
@@ -100,11 +100,11 @@ def test_the_offset_must_lie_in_the_servos_range():
             Actuation(servo_offset=end, servo_max=0.52, steering_limit=0.01)
 
 
-@pytest.mark.parametrize("gain", [0.1, -0.1, 10, -10])
+@pytest.mark.parametrize("gain", [0.1, -0.1, 10.0, -10.0])
 def test_the_servos_gain_may_have_either_sign(gain):
     limit = min(0.263, 0.3196 / abs(gain))
     assert Actuation(servo_gain=gain, steering_limit=limit).servo_gain == gain
-    wrong = math.nextafter(gain, 0) if abs(gain) < 1 else math.nextafter(gain, gain * 2)
+    wrong = math.nextafter(gain, 0.0) if abs(gain) < 1 else math.nextafter(gain, gain * 2)
     with pytest.raises(UserError, match="servo_gain is"):
         Actuation(servo_gain=wrong, steering_limit=0.02)
 
@@ -132,5 +132,5 @@ def test_numbers_that_are_none(key, value):
 
 
 def test_every_set_point_fits_on_the_wire():
-    fastest = Actuation(speed_to_erpm_gain=100_000, speed_limit=2)
+    fastest = Actuation(speed_to_erpm_gain=100_000.0, speed_limit=2.0)
     assert struct.pack(">i", round(fastest.erpm(fastest.speed_limit)))

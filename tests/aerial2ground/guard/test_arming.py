@@ -15,7 +15,9 @@ from tests.aerial2ground.guard.bench import CAR, taken_apart
 SILENCE, CLEAR = Values(0, 11.8, 0, 30.0, 1), Values(0, 11.8, 0, 30.0, 0)
 
 
-@pytest.mark.parametrize("car", [CAR, Actuation(speed_limit=2.0, servo_gain=1.2135, acceleration=20, steering_rate=50)])
+@pytest.mark.parametrize(
+    "car", [CAR, Actuation(speed_limit=2.0, servo_gain=1.2135, acceleration=20.0, steering_rate=50.0)]
+)
 def test_r02_a_sound_guard_passes_its_own_test(car, bridge_row):
     bridge_row("R02", "parts of the self-test that fail", len(self_test(car)), 0)
 

@@ -285,9 +285,9 @@ def test_r22_the_wheels_do_not_turn_as_they_were_told(erpm, commanded, apart, br
 
 
 def test_a_worse_fault_hides_none_of_the_timed_ones():
-    one = controller(voltage=5, fault=3)
+    one = controller(voltage=5.0, fault=3)
     assert one.fault(0.0, 0.0) is Fault.ESC_FAULT
-    one.accept(Values(**vars(SOUND) | {"voltage": 5}), 0.4)
+    one.accept(Values(**vars(SOUND) | {"voltage": 5.0}), 0.4)
     assert one.fault(0.0, 0.5) is Fault.BATTERY
 
 
@@ -312,12 +312,14 @@ def test_what_is_not_known_does_not_stand():
 
 
 def test_everything_that_is_missing_is_told_at_once():
-    one = controller(erpm=500, voltage=5, fault=2, temperature=99, status=2)
+    one = controller(erpm=500, voltage=5.0, fault=2, temperature=99.0, status=2)
     assert len(list(one.lacks(0.0))) == 5
 
 
 def test_another_cars_limits():
-    car = Actuation(lowest_voltage=6, highest_voltage=8.4, highest_temperature=60, speed_limit=2, steering_limit=0.1)
+    car = Actuation(
+        lowest_voltage=6.0, highest_voltage=8.4, highest_temperature=60.0, speed_limit=2.0, steering_limit=0.1
+    )
     one = ControllerWatch(car)
     one.accept(Values(0, 11.8, 0, 61.0, 0), 0.0)
     assert list(one.lacks(0.0)) == [

@@ -43,10 +43,10 @@ def whole(payload: bytes) -> bytes:
 @pytest.mark.parametrize(
     ("made", "known"),
     [
-        (lambda: set_rpm(4614), "02 05 08 00 00 12 06 07 fa 03"),
-        (lambda: set_rpm(3000), "02 05 08 00 00 0b b8 f8 04 03"),
-        (lambda: set_brake(10), "02 05 07 00 00 27 10 ea 94 03"),
-        (lambda: set_current(0), "02 05 06 00 00 00 00 cd 85 03"),
+        (lambda: set_rpm(4614.0), "02 05 08 00 00 12 06 07 fa 03"),
+        (lambda: set_rpm(3000.0), "02 05 08 00 00 0b b8 f8 04 03"),
+        (lambda: set_brake(10.0), "02 05 07 00 00 27 10 ea 94 03"),
+        (lambda: set_current(0.0), "02 05 06 00 00 00 00 cd 85 03"),
         (lambda: set_current(1.5), "02 05 06 00 00 05 dc 38 81 03"),
         (lambda: set_servo(0.53), "02 03 0c 02 12 21 70 03"),
         (lambda: query(GET_VALUES), "02 01 04 40 84 03"),
@@ -63,7 +63,7 @@ def test_the_checksum_of_the_bench_is_the_standard_one():
 
 
 def test_negative_set_points_are_twos_complement():
-    assert taken_apart(set_rpm(-1)) == ((8, -1),)
+    assert taken_apart(set_rpm(-1.0)) == ((8, -1),)
     assert taken_apart(set_servo(-0.002)) == ((12, -2),)
 
 
@@ -78,7 +78,7 @@ def test_r07_no_set_point_is_made_of_what_is_no_number(value, bridge_row):
 
 @pytest.mark.parametrize(
     ("encode", "most"),
-    [(set_rpm, 2**31 - 1), (set_current, 2147483.647), (set_brake, 2147483.647), (set_servo, 32.767)],
+    [(set_rpm, 2.0**31 - 1), (set_current, 2147483.647), (set_brake, 2147483.647), (set_servo, 32.767)],
 )
 def test_the_largest_set_points_of_the_wire(encode, most):
     wire = (2**15 if encode is set_servo else 2**31) - 1

@@ -1,0 +1,37 @@
+"""Replay a drive from its black box: do the same inputs give the same bytes, and the same pictures the same answers?
+
+python scripts/replay_drive.py --log runs/bridge/20260101-120000 [--policy policy.onnx]
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from aerial2ground.bridge.recorded_pictures import replay_answers
+from aerial2ground.bridge.replay import replay
+from aerial2ground.exported_policy import load_exported
+from hashnerf.command_line import parse_config, run_main
+
+
+@dataclass(frozen=True)
+class ReplayConfig:
+    """Which drive."""
+
+    log: Path
+    """Folder of one drive, below the --log of scripts/deploy_racecar.py."""
+    policy: str = ""
+    """The policy that drove, to let it answer the pictures again (the drive must have been recorded: --record true)."""
+
+
+def main() -> int:
+    """Replay; exit code 1 where something differs."""
+    config = parse_config(ReplayConfig, description="Replay a drive from its black box.")
+    found = replay(config.log)
+    print(f"{found.periods} periods, {found.different} with other bytes; faults: {', '.join(found.faults) or 'none'}")
+    apart = replay_answers(config.log / "pictures", load_exported(config.policy)) if config.policy else 0.0
+    if config.policy:
+        print(f"answers to the recorded pictures differ by at most {apart:g} rad")
+    return int(bool(found.different) or apart > 0)
+
+
+if __name__ == "__main__":
+    run_main(main)

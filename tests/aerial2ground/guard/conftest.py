@@ -1,0 +1,27 @@
+"""A world around the guard's loop."""
+
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from tests.aerial2ground.guard.world import World
+
+
+@pytest.fixture
+def make_world(tmp_path, monkeypatch) -> Iterator[Callable[..., World]]:
+    """Makes worlds, and closes them."""
+    worlds = []
+
+    def make(**changed) -> World:
+        worlds.append(World(tmp_path / str(len(worlds)), monkeypatch, **changed))
+        return worlds[-1]
+
+    yield make
+    for world in worlds:
+        world.close()
+
+
+@pytest.fixture
+def world(make_world) -> World:
+    """A world with a port, a car and a policy."""
+    return make_world()
