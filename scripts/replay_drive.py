@@ -1,15 +1,18 @@
 """Replay a drive from its black box: do the same inputs give the same bytes, and the same pictures the same answers?
 
-python scripts/replay_drive.py --log runs/bridge/20260101-120000 [--policy policy.onnx]
+python scripts/replay_drive.py --log runs/bridge/20260101-120000 [--policy policy.onnx] [--chart drive.png]
 """
 
 from dataclasses import dataclass
 from pathlib import Path
 
+from aerial2ground.bridge.drive_chart import drive_chart
 from aerial2ground.bridge.recorded_pictures import replay_answers
-from aerial2ground.bridge.replay import replay
+from aerial2ground.bridge.replay import read_log, replay
 from aerial2ground.exported_policy import load_exported
 from hashnerf.command_line import parse_config, run_main
+from hashnerf.figure_style import png_bytes
+from hashnerf.transforms_json import write_atomically
 
 
 @dataclass(frozen=True)
@@ -20,6 +23,8 @@ class ReplayConfig:
     """Folder of one drive, below the --log of scripts/deploy_racecar.py."""
     policy: str = ""
     """The policy that drove, to let it answer the pictures again (the drive must have been recorded: --record true)."""
+    chart: str = ""
+    """PNG file for a chart of what happened; empty: none."""
 
 
 def main() -> int:
@@ -27,6 +32,9 @@ def main() -> int:
     config = parse_config(ReplayConfig, description="Replay a drive from its black box.")
     found = replay(config.log)
     print(f"{found.periods} periods, {found.different} with other bytes; faults: {', '.join(found.faults) or 'none'}")
+    if config.chart:
+        write_atomically(Path(config.chart), png_bytes(drive_chart(read_log(config.log))))
+        print(f"{config.chart} drawn")
     apart = replay_answers(config.log / "pictures", load_exported(config.policy)) if config.policy else 0.0
     if config.policy:
         print(f"answers to the recorded pictures differ by at most {apart:g} rad")

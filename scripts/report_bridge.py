@@ -3,11 +3,13 @@
 python scripts/report_bridge.py
 """
 
+import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from aerial2ground.bridge.bridge_page import failed, page, read_parts, run_rows
+from aerial2ground.bridge.bridge_page import IMAGE, failed, page, read_parts, run_rows
+from aerial2ground.bridge.try_parts import CHART
 from hashnerf.command_line import parse_config, read_yaml, run_main
 from hashnerf.run_info import commit, machine
 
@@ -33,6 +35,7 @@ def main() -> None:
         f"`python scripts/report_bridge.py` at {commit()}, {machine()}. No real motor controller was there: bytes are "
         "those that a fake one on a pseudo terminal received ([what is left for the operator](../deploy.md))."
     )
+    shutil.copyfile(config.results / CHART, config.page.parents[1] / "images" / IMAGE)
     config.page.write_text(page(rows, run, parts, about), encoding="utf-8")
     wrong = failed(rows, run)
     print(f"{config.page}: {len(rows)} requirements, failed: {', '.join(wrong) or 'none'}")

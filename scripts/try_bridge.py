@@ -16,7 +16,7 @@ from hashnerf.command_line import parse_config, run_main
 from hashnerf.errors import UserError
 from hashnerf.run_info import commit, machine
 
-Part = Literal["faults", "period", "noise", "latency", "laps", "coverage"]
+Part = Literal["faults", "period", "noise", "latency", "laps", "chart", "coverage"]
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class TryConfig(FakeCarConfig):
 
     laps: int = 5
     """Laps that the hardware in the loop drives of each trajectory."""
-    parts: tuple[Part, ...] = ("faults", "period", "noise", "latency", "laps", "coverage")
+    parts: tuple[Part, ...] = ("faults", "period", "noise", "latency", "laps", "chart", "coverage")
     """What is tried."""
     repetitions: int = 20
     """Times that each fault is done."""

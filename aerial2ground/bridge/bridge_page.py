@@ -13,7 +13,9 @@ from hashnerf.errors import UserError
 from hashnerf.numeric_rows import Measured, RowsRun, read_run
 from hashnerf.results_page import markdown_table
 
-PARTS = ("faults", "laps", "period", "noise", "latency", "coverage", "mutants")
+IMAGE = "bridge_drive.png"
+"""In docs/images."""
+PARTS = ("faults", "laps", "period", "noise", "latency", "chart", "coverage", "mutants")
 
 
 def run_rows() -> RowsRun:
@@ -44,6 +46,7 @@ def page(rows: Mapping[str, Mapping], run: RowsRun, parts: Mapping[str, Mapping]
         f"# The bridge\n\n{about}",
         "## What it had to show\n\n" + _targets(rows, run, found, parts["mutants"]),
         "## Faults while the car drives\n\n" + _faults(found["faults"]),
+        f"![Steering, speed and pictures of a drive](../images/{IMAGE})\n\n" + _chart(found["chart"]),
         "## Hardware in the loop\n\n" + _laps(found["laps"]),
         "## Set-points on the wire\n\n" + _period(found["period"], found["noise"]),
         "## From picture to byte\n\n" + _latency(found["latency"]),
@@ -128,6 +131,13 @@ def _faults(faults: Sequence[Mapping]) -> str:
         lines.append((one["what"], *figures, str(len(took)), str(late)))
     note = "From the fault to the first brake frame at the controller that no motion frame follows."
     return f"{note}\n\n{markdown_table(lines)}"
+
+
+def _chart(replayed: str) -> str:
+    return (
+        "A drive on the rig, drawn from its black box: the wheels are checked, the car drives, the camera freezes, the "
+        f"guard slows down and brakes; armed anew, it drives until the emergency stop. Replayed: {replayed}."
+    )
 
 
 def _laps(laps: Sequence[Mapping]) -> str:

@@ -10,13 +10,18 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from aerial2ground.bridge.drive_chart import drive_chart
 from aerial2ground.bridge.endurance import noise, period, steepest_rates
 from aerial2ground.bridge.laps import drive_both, policy_file
 from aerial2ground.bridge.latency_budget import budget, stage_times
-from aerial2ground.bridge.replay import read_log
+from aerial2ground.bridge.replay import read_log, replay
 from aerial2ground.bridge.rig import ROOT, Rig
 from aerial2ground.bridge.trials import TRIALS, Trial, repeat
 from aerial2ground.stages import load_driven_survey
+from hashnerf.figure_style import png_bytes
+from hashnerf.transforms_json import write_atomically
+
+CHART = "drive.png"
 
 
 def try_faults(config: Any, folder: Path) -> list[dict]:
@@ -74,6 +79,29 @@ def try_laps(config: Any, folder: Path) -> list[dict]:
     return found
 
 
+def try_chart(config: Any, folder: Path) -> str:
+    """A drive with a frozen camera and an emergency stop, drawn from its black box into `config.results`."""
+    with Rig(folder, policy="brightness") as rig:
+        rig.confirm_wheels()
+        rig.arm()
+        time.sleep(1)
+        rig.stream.freeze("still")
+        time.sleep(1.2)
+        rig.stream.resume()
+        rig.hold(False)
+        time.sleep(1)
+        rig.arm()
+        time.sleep(0.7)
+        rig.press(" ")
+        time.sleep(0.8)
+        rig.say("quit")
+        rig.bridge.wait()
+    log = next((folder / "log").iterdir())
+    write_atomically(config.results / CHART, png_bytes(drive_chart(read_log(log))))
+    again = replay(log)
+    return f"{again.periods} periods, {again.different} of them with other bytes when replayed"
+
+
 def try_coverage(config: Any, folder: Path) -> dict:
     """How much of the guard its tests reach, branches included."""
     options = ["run", "--branch", f"--source={ROOT / 'aerial2ground/guard'}", "-m", "pytest", "-q", "-o"]
@@ -91,5 +119,6 @@ PARTS: Mapping[str, Callable[[Any, Path], Any]] = {
     "noise": try_noise,
     "latency": try_latency,
     "laps": try_laps,
+    "chart": try_chart,
     "coverage": try_coverage,
 }

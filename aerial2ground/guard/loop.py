@@ -1,6 +1,7 @@
 """The guard's loop: everything that can happen is looked at between two periods of 20 ms, and never waited for."""
 
 import contextlib
+import io
 import math
 import queue
 import select
@@ -9,7 +10,6 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TextIO
 
 from aerial2ground.guard.black_box import BlackBox
 from aerial2ground.guard.guard import OLDEST_FIRMWARE, Guard
@@ -32,7 +32,7 @@ MOVING = (State.ARMED, State.STOPPING)
 class Announcer:
     """Prints sentences from a thread: a terminal that hangs must not hold up the loop."""
 
-    def __init__(self, stream: TextIO):
+    def __init__(self, stream: io.TextIOBase):
         self._queue: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, args=(stream,), daemon=True)
         self._thread.start()
@@ -46,7 +46,7 @@ class Announcer:
         self._queue.put(None)
         self._thread.join(0.3)
 
-    def _run(self, stream: TextIO) -> None:
+    def _run(self, stream: io.TextIOBase) -> None:
         while (sentence := self._queue.get()) is not None:
             with contextlib.suppress(OSError, ValueError):  # a closed terminal does not end a drive
                 print(sentence, file=stream, flush=True)

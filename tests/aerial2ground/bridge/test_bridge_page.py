@@ -27,6 +27,7 @@ def parts():
         "period": [one | {"busy": 1}, one | {"busy": 2, "p99": 29.0}],
         "noise": {"sent": 1_000_000, "alive": True, "growth": 0.0, "outside": 0, "steering": 3.0, "speed": 2.4},
         "latency": [["camera", 1.0, 2.0], ["policy", 0.7, 1.1]],
+        "chart": "480 periods, 0 of them with other bytes",
         "coverage": {"percent": 100.0, "lines": 700, "branches": 200},
     }
     survivor = {"file": "a.py", "line": 3, "before": "x | y", "after": "x", "outcome": "survived"}
@@ -51,6 +52,7 @@ def test_the_page_tells_what_was_measured():
     assert "| R24 | stops in time | e-stop | 40 ms | 50 ms | yes | `tests.b` |" in text
     assert "not tested: there are none" in text
     assert "96.0% of 25 | met" in text and "| a.py:3 | `x \\| y` | `x` |" in text
+    assert "Replayed: 480 periods, 0 of them" in text and "(../images/bridge_drive.png)" in text
     assert "1000000 bytes: still running, 0 frames beyond, +0.0 MB | met" in text
 
 

@@ -117,11 +117,12 @@ class Bench:
         """What the policy wants, once the car is armed."""
         self.policy_lives = self.camera_lives = True
         self.hand = False
-        self._number = self._picture = 0
+        self.happened = self._number = self._picture = 0
         self._taken = self.now
 
     def say(self, kind: str, value: str = "") -> None:
         """Something happens: a word of the operator, or another kind of event with its value."""
+        self.happened += 1
         if value:
             self.guard.take(kind, value, self.now)
         else:

@@ -169,13 +169,13 @@ def test_a_policy_that_floods_does_not_hold_up_the_loop(world):
     def flood():
         for _ in range(150):
             world.send()
-        if world.now < START + 7:
+        if world.now < START + 6.15:
             world.at(world.now - START + 0.001, flood)
 
     world.ours.setsockopt(1, 8, 1 << 20)
     world.arms().at(6.0, flood)
     world.policy.setsockopt(1, 7, 1 << 20)
-    world.at(7.5, "quit\n")
+    world.at(6.5, "quit\n")
     taken = []
     read = world.loop._read_policy
     world.loop._read_policy = lambda now: (taken.append(world.guard.commands.command), read(now))

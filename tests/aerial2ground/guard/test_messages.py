@@ -35,4 +35,4 @@ def test_wrong_sizes(size):
 
 def test_numbers_that_the_message_does_not_hold():
     with pytest.raises(struct.error):
-        Command(2**32, 0, 0, 0, 0, 0).packed()
+        Command(2**32, 0, 0.0, 0.0, 0.0, 0.0).packed()

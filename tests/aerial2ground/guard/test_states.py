@@ -62,12 +62,13 @@ class Walk:
     """Random events on a bench, mostly what lets the car drive, and what the guard may do after each."""
 
     def __init__(self, seed: int):
-        self.chance, self.bench, self.events, self.visits = random.Random(seed), Bench(), 0, set()
+        self.chance, self.bench, self.visits = random.Random(seed), Bench(), set()
+        self.steps = self.events = 0
         self.wrong = 0
 
     def happen(self) -> None:
         """One random event and its consequences."""
-        bench, chance, before = self.bench, self.chance, self.bench.state
+        bench, chance, before, happened = self.bench, self.chance, self.bench.state, self.bench.happened
         kind = chance.random()
         if kind < 0.03:
             self.mishap()
@@ -83,7 +84,8 @@ class Walk:
             bench.now += chance.choice([0.02, 0.02, 0.02, 0.005, 0.06])
             bench.events()
         self.check(before)
-        self.events += 1
+        self.steps += 1
+        self.events += bench.happened - happened
 
     def mishap(self) -> None:
         bench, chance = self.bench, self.chance
@@ -120,14 +122,13 @@ def test_r33_a_hundred_thousand_random_events(bridge_row):
     visits, wrong, events = set(), 0, 0
     for seed in range(25):
         walk = Walk(seed)
-        walk.bench = staged("checked")
         while walk.events < 4000:
-            if walk.events % 250 == 0:  # else nearly all events would happen to a car that lacks something
+            if walk.steps % 250 == 0:  # else nearly all events would happen to a car that lacks something
                 walk.bench = staged(walk.chance.choice(["checked", "ready", "ready", "armed", "driving"]))
             walk.happen()
         visits, wrong, events = visits | walk.visits, wrong + walk.wrong, events + walk.events
     changes = {(one, other) for one, other in visits if one != other}
-    assert events == 100_000
+    assert events >= 100_000
     assert changes == WAYS  # all of them happened, and no other
     bridge_row("R33", "motion outside ARMED, or with a fault latched, in 1e5 random events", wrong, 0)
 

@@ -178,13 +178,13 @@ class World:
 
     def records(self) -> list[dict]:
         """The black box."""
-        self.black_box.close(10)
+        self.black_box.close(10.0)
         return [json.loads(line) for line in self.log.read_text().splitlines()]
 
     def close(self) -> None:
         """Closes everything."""
         self.loop.close_link()
-        self.black_box.close(10)
+        self.black_box.close(10.0)
         for one in (self.ours, self.policy, self.signals, self.kill):
             one.close()
         for descriptor in self._open_pipes:
