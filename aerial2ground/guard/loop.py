@@ -186,11 +186,18 @@ class Loop:
             except UserError:
                 self._retry_after = min(2 * self._retry_after, LAST_RETRY)
                 self._retry_at = now + self._retry_after
-        if not self.port and now >= self._reports_at:
+        if now >= self._reports_at and (not self.port or self.guard.state is State.ARMED):
             self._reports_at = now + 1
-            command = self.guard.commands.command
-            if command is not None:
-                self.say(f"steering {command.steering:+.3f} rad, picture {1000 * (now - command.taken):.0f} ms old")
+            self._report(now)
+
+    def _report(self, now: float) -> None:
+        """Tells the operator what is driven by, once a second while the car drives, and in a dry run."""
+        command, values = self.guard.commands.command, self.guard.controller.values
+        if command is not None:
+            sentence = f"steering {command.steering:+.3f} rad, picture {1000 * (now - command.taken):.0f} ms old"
+            if values is not None:
+                sentence += f", {self.guard.controller.speed(now):.2f} m/s, {values.voltage:.1f} V"
+            self.say(sentence)
 
     def _cycle(self, now: float) -> None:
         """What the guard says to it, goes out."""

@@ -134,3 +134,9 @@ def test_numbers_that_are_none(key, value):
 def test_every_set_point_fits_on_the_wire():
     fastest = Actuation(speed_to_erpm_gain=100_000.0, speed_limit=2.0)
     assert struct.pack(">i", round(fastest.erpm(fastest.speed_limit)))
+
+
+def test_a_battery_of_more_than_60_volts_is_none():
+    for key in ("lowest_voltage", "highest_voltage"):
+        with pytest.raises(UserError, match=f"^{key} is 60.5; give volts"):
+            Actuation(**{"highest_voltage": 60.0, key: 60.5})

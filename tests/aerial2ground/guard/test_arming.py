@@ -143,7 +143,7 @@ def test_r12_longer_timeouts_are_accepted_only_by_the_operator(measured, accepte
 
 def test_the_dead_man():
     hand = DeadMan()
-    assert not hand.is_held(0.0)
+    assert not hand.is_held(0.0) and hand.since == -math.inf
     hand.sign(1.0)
     assert hand.since == 1.0 and hand.is_held(1.0) and hand.is_held(1.0 + 0.0799)
     assert not hand.is_held(1.0801)

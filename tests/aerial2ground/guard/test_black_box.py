@@ -207,3 +207,12 @@ def test_a_disk_without_room_is_found_out_before_the_drive(tmp_path, monkeypatch
     monkeypatch.setattr(black_box.os, "posix_fallocate", full)
     with pytest.raises(UserError, match=r"no place there .No space left on device.; give another --log"):
         BlackBox(tmp_path)
+
+
+def test_the_thread_sleeps_while_nothing_is_there(tmp_path, boxes):
+    boxes.append(BlackBox(tmp_path))
+    boxes[0].add({"t": 0})
+    ends = time.monotonic() + 30
+    while boxes[0]._there.is_set() and time.monotonic() < ends:
+        time.sleep(0.005)
+    assert not boxes[0]._there.is_set()

@@ -2,6 +2,7 @@
 
 import math
 import random
+from dataclasses import replace
 
 import pytest
 
@@ -266,3 +267,86 @@ def test_r33_every_frame_of_motion_follows_from_arming(bridge_row):
     armed = [state for _, state, frames in bench.log if any(is_motion(*frame) for frame in frames)]
     assert len(armed) > 40
     bridge_row("R33", "motion frames in other states than ARMED", sum(state is not State.ARMED for state in armed), 0)
+
+
+@pytest.mark.parametrize(
+    ("state", "seconds", "held", "following"),
+    [
+        (State.STOPPING, 3.0, 0.0, State.DISARMED),  # blind
+        (State.STOPPING, 2.999, 0.0, State.STOPPING),
+        (State.ARMED, 600.0, 600.0, State.ARMED),
+        (State.ARMED, 600.001, 600.001, State.STOPPING),
+        (State.ARMED, 1.0, 0.92, State.ARMED),
+        (State.ARMED, 1.0, 0.919, State.STOPPING),
+    ],
+)
+def test_the_last_moment_of_a_state(state, seconds, held, following):
+    bench = staged("driving")
+    guard = bench.guard
+    guard.state, guard._entered, guard._ticked = state, 0.0, seconds - 0.02
+    guard.controller.values = None if state is State.STOPPING else guard.controller.values
+    guard.controller.at, guard.dead_man._sign = seconds, held
+    guard.commands.command = replace(guard.commands.command, sent=seconds)
+    guard.commands._new_at = seconds
+    guard.tick(seconds)
+    assert guard.state is following, guard.notes
+
+
+@pytest.mark.parametrize(
+    ("took", "standing", "halts"),
+    [(0.5, 0.2, True), (0.499, 0.3, False), (0.6, 0.199, False), (2.9, 0.0, False), (3.5, 0.0, False)],
+)
+def test_the_end_of_a_stop(took, standing, halts):
+    guard = staged("driving").guard
+    guard.state, guard._entered = State.STOPPING, 0.0
+    guard.controller.at = took
+    guard._end_stop(standing, took)
+    assert (guard.state is State.DISARMED) == halts
+
+
+@pytest.mark.parametrize(
+    ("since", "now", "following"),
+    [
+        (1.0, 1.3, State.ARMED),
+        (1.0, 1.299, State.READY),
+        (0.0, 1.0, State.READY),  # held when it became ready
+        (1.0, 30.0, State.ARMED),
+        (30.0, 30.0, State.READY),
+        (30.001, 30.001, State.DISARMED),
+    ],
+)
+def test_the_ways_out_of_ready(since, now, following):
+    guard = staged("ready").guard
+    guard._entered, guard.dead_man.since, guard.dead_man._sign = 0.0, since, now
+    guard.lacks = lambda now: iter(())
+    guard._leave_ready(now)
+    assert guard.state is following
+
+
+def test_the_dead_man_is_held_for_exactly_as_long_as_it_takes():
+    guard = staged("ready").guard
+    guard._entered, guard.dead_man.since, guard.dead_man._sign = -1.0, 0.0, 0.3
+    guard.lacks = lambda now: iter(())
+    guard._leave_ready(0.3)
+    assert guard.state is State.ARMED
+
+
+@pytest.mark.parametrize(("now", "fault"), [(0.1, None), (0.101, "GUARD_LATE")])
+def test_a_tick_that_is_just_in_time(now, fault):
+    guard = staged("driving").guard
+    guard._ticked = guard.controller.at = guard._entered = guard.commands._new_at = 0.0
+    guard.dead_man._sign = now
+    guard.commands.command = replace(guard.commands.command, sent=now)
+    guard.tick(now)
+    assert (guard.fault and guard.fault.name) == fault
+
+
+@pytest.mark.parametrize(("age", "speed"), [(0.3, 1.0), (0.301, 0.95)])
+def test_answers_that_are_just_young_enough(age, speed):
+    guard = staged("driving").guard
+    guard.point._last = age - 0.02
+    guard.controller.at = 0.0
+    guard.commands.command = replace(guard.commands.command, sent=age)
+    guard.commands._new_at = age
+    guard._drive(age)
+    assert guard.point.speed == pytest.approx(speed)

@@ -352,11 +352,11 @@ def test_wheels_that_are_tried_need_no_second_look():
 
 def test_the_wheels_are_not_turned_while_the_car_rolls():
     bench = staged("connected")
-    bench.car.told["erpm"] = 510
+    bench.car.told["erpm"] = 501
     bench.run(0.1)
     bench.say("check")
     assert {position for _, position in sent(bench.run(1.2), SERVO)} == {530}
-    bench.car.told["erpm"] = 490
+    bench.car.told["erpm"] = 500
     assert 530 not in {position for _, position in sent(bench.run(0.2), SERVO)[5:]}
 
 

@@ -121,7 +121,9 @@ def _closed(descriptor: int) -> bool:
 
 def test_the_words_of_the_operator_end_it(place):
     os.write(place.keys, b"quit\n")
+    threads = threading.active_count()
     assert run_guard(ProcessSettings(**place.settings())) == 0
+    assert threading.active_count() == threads
     assert place.first_line() == {"actuation": {}, "guard": {}}
     assert _closed(place.policy_socket)
     assert place.lines()[-1]["state"] == "DISARMED"
@@ -264,7 +266,9 @@ def test_a_joystick_is_the_dead_man(place, tmp_path):
     writer = os.open(tmp_path / "js0", os.O_WRONLY)
     os.write(writer, struct.pack("IhBB", 0, 1, 1, 3))
     os.write(place.keys, b"g")  # which is nothing then
+    before = len(os.listdir("/proc/self/fd"))
     taken = fault_of(place, dead_man=f"{tmp_path / 'js0'}:3")
+    assert len(os.listdir("/proc/self/fd")) == before - 1  # the policy's socket, and nothing is left open
     assert taken.count(["word", "held"]) == sum(
         ["word", "held"] in [one[1:] for one in record["in"]] for record in place.lines()
     )

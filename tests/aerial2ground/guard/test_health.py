@@ -329,3 +329,11 @@ def test_another_cars_limits():
     commands = CommandWatch(car)
     assert "beyond 0.1" in commands.accept(command(1, 1, 0, 0, steering=0.11), 0.0)
     assert commands.accept(command(1, 1, 0, 0, speed=2.0), 0.0) == ""
+
+
+def test_a_difference_of_exactly_what_is_accepted_is_accepted():
+    one = ControllerWatch(Actuation(speed_to_erpm_gain=1000.0))
+    one.accept(Values(300, 11.8, 0, 30.0, 0), 0.0)  # 0.3 m/s
+    assert one.fault(0.0, 0.0) is None
+    one.accept(Values(300, 11.8, 0, 30.0, 0), 1.0)
+    assert one.fault(0.0, 1.0) is None

@@ -124,6 +124,7 @@ def test_a_car_that_does_not_stop_is_left_behind_braked(world):
     world.arms().at(6.0, lambda: world.car.told.update(erpm=4000))
     world.at(6.0, "quit\n")
     assert world.run() == 0
+    assert END_SECONDS == 0.9
     assert END_SECONDS <= world.now - START - 6.0 <= END_SECONDS + 0.041
     assert world.guard.state is State.STOPPING and world.wire[-1][2][0] == (BRAKE, 10_000)
 
@@ -181,7 +182,7 @@ def test_a_policy_that_floods_does_not_hold_up_the_loop(world):
     world.loop._read_policy = lambda now: (taken.append(world.guard.commands.command), read(now))
     world.run()
     numbers = [one.number for one in taken if one]
-    assert max(later - earlier for earlier, later in itertools.pairwise(numbers)) == MOST_MESSAGES
+    assert max(later - earlier for earlier, later in itertools.pairwise(numbers)) == MOST_MESSAGES == 100
     gaps = [later - earlier for (earlier, *_), (later, *_) in itertools.pairwise(world.wire) if earlier > 1]
     assert max(gaps) < 0.0201
     assert world.guard.fault is None

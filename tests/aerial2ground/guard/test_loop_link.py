@@ -145,3 +145,12 @@ def test_a_port_that_is_gone_while_it_ends(world):
     world.at(5.99, "quit\n")
     assert world.run() == 0
     assert world.now - START < 7.0
+
+
+def test_the_operator_is_told_once_a_second_while_the_car_drives(world):
+    world.arms().at(7.4, "quit\n")
+    world.run()
+    lines = [line for line in world.said if line.startswith("steering")]
+    # armed from 4.1 to 7.4 s
+    assert 3 <= len(lines) <= 4
+    assert lines[-1].startswith("steering +0.000 rad, picture ") and lines[-1].endswith(" ms old, 1.00 m/s, 11.8 V")

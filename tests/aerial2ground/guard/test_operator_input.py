@@ -272,3 +272,10 @@ def test_a_file_that_was_there_before_stops_too(tmp_path):
 
 def test_a_file_that_cannot_be_looked_for_does_not_end_the_guard(tmp_path):
     assert StopFile(str(tmp_path / ("x" * 5000))).poll() == []
+
+
+def test_keys_that_flood_are_taken_in_pieces(keys):
+    reader, typing = keys
+    typing(b"g" * 5000)
+    keyboard = Keyboard(reader, True)
+    assert [len(keyboard.read()), len(keyboard.read())] == [4096, 904]
