@@ -17,12 +17,14 @@ from torch import nn
 from aerial2ground.car_camera import CarCameraConfig
 from aerial2ground.config import AerialConfig
 from aerial2ground.exported_policy import COLOUR_ORDERS, ExportedPolicy, PolicyInfo, policy_from_bytes
-from aerial2ground.imitation import network_answer
-from aerial2ground.learning_stages import load_network
+from aerial2ground.imitation import METHODS, network_answer
+from aerial2ground.learning_stages import load_network, sources_of
 from aerial2ground.networks import PictureNetwork
 from hashnerf.checkpoints import checkpoint_steps
+from hashnerf.command_line import config_changes, plain_config
 from hashnerf.errors import UserError
-from hashnerf.transforms_json import write_atomically
+from hashnerf.made_from import MADE_FROM
+from hashnerf.transforms_json import read_transforms, write_atomically
 
 FILE = "policy.onnx"
 OPSET, IR_VERSION = 17, 8
@@ -75,9 +77,29 @@ def export_policy(path: Path, network: PictureNetwork, limit: float, camera: Car
 
 
 def export_trained(folder: Path, config: AerialConfig) -> Export:
-    """Exports the network of `folder`, which is a checkpoint of `stages.save_network`, into that folder."""
+    """Exports the network of `folder`, which is a checkpoint of `stages.save_network`, into that folder.
+
+    Raises UserError where the config's camera is not the one of the pictures that the network has learnt from.
+    """
+    require_camera(folder, config)
     network = load_network(folder, config.imitation.task.network)
     return export_policy(folder / FILE, network, config.car.steering_limit, config.camera)
+
+
+def require_camera(folder: Path, config: AerialConfig) -> None:
+    """Raises UserError where a network in policies/<trajectory>/<method>/<seed> was trained for another camera."""
+    trajectory, method = folder.parts[-3:-1] if len(folder.parts) > 3 else ("", "")
+    if method not in METHODS:
+        return
+    for source in sources_of(config, method, trajectory):
+        for file in (source / MADE_FROM, source.parent / MADE_FROM):
+            camera = read_transforms(file).get("camera") if file.is_file() else None
+            if camera is not None and config_changes(camera, plain_config(config.camera)):
+                changes = "; ".join(config_changes(camera, plain_config(config.camera)))
+                raise UserError(
+                    f"{folder}: was trained for another camera ({changes}); give the config that it was trained with, "
+                    "or render views and train anew"
+                )
 
 
 def trained_folders(folder: Path) -> list[Path]:

@@ -37,7 +37,10 @@ def main() -> int:
         print(f"{config.chart} drawn")
     apart = replay_answers(config.log / "pictures", load_exported(config.policy)) if config.policy else 0.0
     if config.policy:
-        print(f"answers to the recorded pictures differ by at most {apart:g} rad")
+        verdict = (
+            f"differ by up to {apart:g} rad: this is not the policy that drove" if apart else "are the same to the bit"
+        )
+        print(f"answers to the recorded pictures {verdict}")
     return int(bool(found.different) or apart > 0)
 
 

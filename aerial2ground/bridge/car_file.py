@@ -5,8 +5,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from aerial2ground.guard.actuation import Actuation
-from hashnerf.command_line import load_config
+from hashnerf.command_line import load_config, read_yaml
 from hashnerf.errors import UserError
+
+MEASURED = ("speed_to_erpm_gain", "servo_gain", "servo_offset", "steering_limit", "wheelbase")
+"""Of `actuation`: no two cars are alike in these."""
 
 
 @dataclass(frozen=True)
@@ -76,9 +79,18 @@ class CarFile:
 
 
 def load_car(path: Path) -> CarFile:
-    """Reads one car's file; raises UserError naming the file, the whole key and what to do."""
+    """Reads one car's file; raises UserError naming the file, the whole key and what to do.
+
+    What every car has of its own must stand in the file: another car's gain would drive at another speed unnoticed.
+    """
+    if not path.is_file():
+        raise UserError(f"{path}: no such car file; start from configs/cars/f1tenth.yaml and give yours with --car")
     try:
-        return load_config(CarFile, path)
+        car, stated = load_config(CarFile, path), read_yaml(path).get("actuation", {})
+        lacking = [key for key in MEASURED if key not in stated]
+        if lacking:
+            raise UserError(f"actuation lacks {', '.join(lacking)}; measure them (docs/deploy.md)")
+        return car
     except UserError as error:
         sentence = str(error).replace(": give it as an argument or in a --config file.", "; write it into the file")
         raise UserError(sentence if sentence.startswith(f"{path}: ") else f"{path}: {sentence}") from error

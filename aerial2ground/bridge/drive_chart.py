@@ -39,18 +39,26 @@ def drive_chart(records: Sequence[Mapping]) -> Figure:
     figure = new_figure(FULL_WIDTH, 6.0)
     panels = figure.subplots(4, 1, sharex=True, height_ratios=(3, 3, 2, 1))
     wanted = [cycle.get("wanted") or (np.nan, np.nan) for cycle in cycles]
-    _draw(panels[0], time, "steering, rad", {"wanted": [one[0] for one in wanted], "sent": column(cycles, "steering")})
+    _draw(
+        panels[0],
+        time,
+        "steering, rad\n(+ left)",
+        {"wanted": [one[0] for one in wanted], "sent": column(cycles, "steering")},
+    )
     speeds = {"wanted": [one[1] for one in wanted], "sent": column(cycles, "speed")}
     _draw(panels[1], time, "speed, m/s", speeds | {"measured": car.speed(1.0) * column(cycles, "erpm")})
     _draw(panels[2], time, "picture, ms old", {"age": 1000 * column(cycles, "picture_age")})
-    for limit in (PICTURE_SLOW, PICTURE_OLD):
+    for limit, what in ((PICTURE_SLOW, "slows down"), (PICTURE_OLD, "brakes")):
         panels[2].axhline(1000 * limit, color=MUTED, linewidth=0.7, linestyle=(0, (3, 3)))
+        panels[2].annotate(what, (1, 1000 * limit), xycoords=("axes fraction", "data"), fontsize=SMALL, color=MUTED)
     panels[2].set_ylim(0, 1500 * PICTURE_OLD)
     _draw_states(panels[3], time, [cycle["state"] for cycle in cycles])
     for moment, cycle in zip(time, _first_of_each_fault(cycles), strict=True):
         if cycle:
             panels[1].axvline(moment, color=VERMILION, linewidth=1)
-            panels[1].annotate(cycle, (moment, 1), xycoords=("data", "axes fraction"), fontsize=SMALL, color=VERMILION)
+            panels[1].annotate(
+                cycle, (moment, 0.04), xycoords=("data", "axes fraction"), fontsize=SMALL, color=VERMILION
+            )
     return figure
 
 

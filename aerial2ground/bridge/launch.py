@@ -3,6 +3,8 @@
 The guard is the process that the operator started: it gets the terminal, the signals and the exit code.
 """
 
+import contextlib
+import itertools
 import json
 import os
 import socket
@@ -116,8 +118,23 @@ def launch(config: DeployConfig) -> NoReturn:
     if config.speed > car.actuation.speed_limit:
         limit = car.actuation.speed_limit
         raise UserError(f"speed is {config.speed} m/s, over the speed_limit {limit} of {config.car}; give less")
-    log = config.log / time.strftime("%Y%m%d-%H%M%S")
+    log = new_folder(config.log)
     become_guard(policy_command(config, car, log), guard_settings(config, car, log))
+
+
+def new_folder(parent: Path) -> Path:
+    """Makes a folder that nobody else has, named by the time; raises UserError where none can be made."""
+    name = time.strftime("%Y%m%d-%H%M%S")
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        for number in itertools.count():
+            folder = parent / (f"{name}-{number}" if number else name)
+            with contextlib.suppress(FileExistsError):
+                folder.mkdir()
+                return folder
+    except OSError as error:
+        raise UserError(f"{parent}: no log can be kept there ({error.strerror}); give another --log") from error
+    raise AssertionError("counting does not end")
 
 
 def become_guard(policy: Sequence[str], settings: dict) -> NoReturn:

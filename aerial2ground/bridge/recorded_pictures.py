@@ -133,7 +133,7 @@ def recorded_lens(folder: Path) -> CameraCalibration:
     """Returns the calibration of the camera of a recording; raises UserError for a folder that is none."""
     missing = [name for name in (ABOUT, PICTURES, INDEX) if not (folder / name).is_file()]
     if missing:
-        raise UserError(f"{folder}: lacks {', '.join(missing)}; give a folder that a drive was recorded into")
+        raise UserError(f"{folder}: lacks {', '.join(missing)}; start the drive with --record true")
     try:
         return CameraCalibration(**json.loads((folder / ABOUT).read_text(encoding="utf-8")))
     except (ValueError, TypeError, UserError) as error:

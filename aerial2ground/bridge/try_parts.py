@@ -18,6 +18,7 @@ from aerial2ground.bridge.replay import read_log, replay
 from aerial2ground.bridge.rig import ROOT, Rig
 from aerial2ground.bridge.trials import TRIALS, Trial, repeat
 from aerial2ground.stages import load_driven_survey
+from hashnerf.errors import UserError
 from hashnerf.figure_style import png_bytes
 from hashnerf.transforms_json import write_atomically
 
@@ -71,12 +72,26 @@ def try_latency(config: Any, folder: Path) -> list[list]:
 
 
 def try_laps(config: Any, folder: Path) -> list[dict]:
-    """Laps of every trajectory with the hardware in the loop, and without."""
+    """Laps of every trajectory with the hardware in the loop, and without.
+
+    Raises UserError, after all were driven, where a fault ended one.
+    """
     found = []
     for name in load_driven_survey(config).trajectories:
         found.append(drive_both(replace(config, trajectory=name), folder / name))
-        print(found[-1], flush=True)
+        print(_sentence(found[-1]), flush=True)
+    if any(one["bridge"]["faults"] for one in found):
+        raise UserError("a fault ended the laps (above): drive them again on a computer that has nothing else to do")
     return found
+
+
+def _sentence(laps: Mapping) -> str:
+    drive = laps["bridge"]
+    ended = f"; ENDED BY {drive['faults'][0]}" if drive["faults"] else ""
+    return (
+        f"{laps['trajectory']}: {drive['laps']} laps in {drive['seconds']:.0f} s, {drive['interventions']} interventions, "
+        f"{100 * (drive['position_rmse'] or 0):.1f} cm off (simulator {100 * laps['simulator']['position_rmse']:.1f}){ended}"
+    )
 
 
 def try_chart(config: Any, folder: Path) -> str:

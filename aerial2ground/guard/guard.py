@@ -208,7 +208,8 @@ class Guard:
         blind = self.controller.speed(now) == math.inf
         took = now - self._entered
         if took >= SHORTEST_STOP and (standing >= STANDING or (blind and took >= BLIND_STOP)):
-            self._happen(Event.HALTED if self.fault is None else Event.HALTED_BY_FAULT, now, "the car stands")
+            why = "nothing is known of the wheels: THE CAR MAY STILL ROLL" if blind else "the car stands"
+            self._happen(Event.HALTED if self.fault is None else Event.HALTED_BY_FAULT, now, why)
 
     def _drive(self, now: float) -> bytes:
         command = self.commands.command
@@ -237,10 +238,12 @@ class Guard:
             )
         else:
             self.fault = None
-            self._happen(Event.ARM, now, f"take the dead-man within {READY_LIMIT:g} s")
+            self._happen(Event.ARM, now, f"hold the dead-man within {READY_LIMIT:g} s, and while the car drives")
 
     def _check_wheels(self, now: float) -> None:
-        if self.state in (State.DISARMED, State.FAULT):
+        if not self._linked:
+            self.notes.append("no motor controller is connected: no wheel can turn")
+        elif self.state in (State.DISARMED, State.FAULT):
             self.wheels.begin(now)
             self.notes.append("the wheels turn left, then right: say yes if they did, no if not")
         else:
@@ -249,7 +252,9 @@ class Guard:
     def _answer(self, well: bool, now: float) -> None:
         if not self.wheels.answer(well, now):
             self.notes.append("say check first, and look at the wheels until they stand straight")
-        elif not well:
+        elif well:
+            self.notes.append("good; in a second say arm")
+        else:
             self.raise_fault(Fault.WRONG_CALIBRATION, now)
 
     def _happen(self, event: Event, now: float, why: str) -> None:

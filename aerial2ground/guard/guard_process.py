@@ -8,6 +8,7 @@ policy's process ended; always after the stop sequence.
 
 import contextlib
 import json
+import os
 import signal
 import socket
 import sys
@@ -56,18 +57,20 @@ def main(argv: Sequence[str]) -> int:
     """Runs the guard; returns the exit code."""
     settings = ProcessSettings(**json.loads(argv[1]))
     die_with_parent(signal.SIGHUP)
-    prefer()
+    hurried = prefer()
     try:
-        status = run_guard(settings)
+        status = run_guard(settings, hurried)
     except UserError as error:
         end_child(settings.policy_process, 0.0)
         print(error, file=sys.stderr)
         return 2
     ended = end_child(settings.policy_process, 1.0)
-    return status if status >= 0 else ended or 1
+    if status == 0:
+        return max(ended, 0)  # what the policy's process found wrong is said, though the operator has gone
+    return status if status > 0 else ended or 1
 
 
-def run_guard(settings: ProcessSettings) -> int:
+def run_guard(settings: ProcessSettings, hurried: bool = True) -> int:
     """Runs the loop over what the settings name; returns the exit code, -1 where the policy's process decides.
 
     Raises UserError for a port, joystick, address or log that cannot be used.
@@ -79,7 +82,7 @@ def run_guard(settings: ProcessSettings) -> int:
         signals = stack.enter_context(signal_socket())
         announcer = Announcer(sys.stdout)
         stack.callback(announcer.close)
-        inputs: list[Keyboard | Datagrams] = [Keyboard(sys.stdin.fileno(), settings.dead_man == KEY)]
+        inputs: list[Keyboard | Datagrams] = [Keyboard(sys.stdin.fileno(), settings.dead_man == KEY, announcer.echo)]
         stack.callback(inputs[0].close)  # whatever fails below, the terminal is given back
         if settings.operator:
             inputs.append(Datagrams(settings.operator, settings.dead_man == DATAGRAMS))
@@ -95,6 +98,10 @@ def run_guard(settings: ProcessSettings) -> int:
         black_box.add({"actuation": settings.actuation, "guard": settings.guard})
         port = settings.port and stable_name(settings.port)
         loop = Loop(Guard(actuation, guard_settings), port, policy, inputs, polled, signals, black_box, announcer.say)
+        loop.greeting = [f"black box: {settings.log}; process {os.getpid()}"]
+        if not hurried:
+            loop.greeting.append("no real-time priority (docs/deploy.md): on a busy computer expect GUARD_LATE")
+        loop.greeting.append("say check, yes, arm, and hold the dead-man; space bar: emergency stop; quit ends")
         stack.callback(loop.close_link)
         return loop.run()
 

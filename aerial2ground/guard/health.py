@@ -95,7 +95,7 @@ class CommandWatch:
         """What is missing before the car may be armed."""
         fresh = sum(now - taken <= FRESH_WITHIN for taken in self._fresh)
         if fresh < FRESH_PICTURES:
-            yield f"{fresh} of {FRESH_PICTURES} different pictures in the last half second"
+            yield f"{FRESH_PICTURES} different pictures in the last half second (there were {fresh})"
         if self.slow(now):
             yield "fresh commands of the policy"
         elif self.command is not None and self.command.speed != 0:

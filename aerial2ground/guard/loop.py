@@ -39,7 +39,11 @@ class Announcer:
 
     def say(self, sentence: str) -> None:
         """Queues a sentence."""
-        self._queue.put(sentence)
+        self._queue.put(sentence + "\n")
+
+    def echo(self, text: str) -> None:
+        """Queues what was typed."""
+        self._queue.put(text)
 
     def close(self) -> None:
         """Prints what is queued, if that does not take long."""
@@ -47,9 +51,10 @@ class Announcer:
         self._thread.join(0.3)
 
     def _run(self, stream: io.TextIOBase) -> None:
-        while (sentence := self._queue.get()) is not None:
+        while (text := self._queue.get()) is not None:
             with contextlib.suppress(OSError, ValueError):  # a closed terminal does not end a drive
-                print(sentence, file=stream, flush=True)
+                stream.write(text)
+                stream.flush()
 
 
 @dataclass
@@ -66,6 +71,8 @@ class Loop:
     black_box: BlackBox
     say: Callable[[str], None]
     clock: Callable[[], float] = time.monotonic
+    greeting: list[str] = field(default_factory=list)
+    """Said when there is a motor controller, or at once where none is wanted."""
     link: SerialLink | None = None
     status: int | None = None
     """What the process will end with, once something ends it."""
@@ -87,6 +94,8 @@ class Loop:
         start = following = self.clock()
         if self.port:
             self._open(start)
+        else:
+            self._greet()
         while self.status is None or (self.guard.state in MOVING and self.clock() < self._ends_at):
             before = self.guard.state, self.guard.fault
             self._listen(max(0.0, following - self.clock()))
@@ -100,6 +109,10 @@ class Loop:
             self._require_controller(now - start)
         self._cycle(self.clock())  # the state after the stop sequence has its frames, too
         return self.status
+
+    def _greet(self) -> None:
+        for sentence in self.greeting:
+            self.say(sentence)
 
     def close_link(self) -> None:
         """Closes the port."""
@@ -246,7 +259,9 @@ class Loop:
                 f"update it to {OLDEST_FIRMWARE} or newer with VESC Tool"
             )
         self._was_connected = firmware is not None
-        if not self._was_connected and seconds > FIRMWARE_SECONDS:
+        if self._was_connected:
+            self._greet()
+        elif seconds > FIRMWARE_SECONDS:
             raise UserError(f"{self.port}: nothing there answers as a VESC does; give the motor controller's port")
 
     def _record(self, frames: bytes, now: float) -> None:
@@ -263,7 +278,7 @@ class Loop:
                 "number": command and command.number,
                 "wanted": command and [command.steering, command.speed],
                 "picture_age": command and now - command.taken,
-                "erpm": values and values.erpm,
+                "erpm": values.erpm if values and guard.controller.speed(now) < math.inf else None,
                 "volts": values and values.voltage,
             }
         )

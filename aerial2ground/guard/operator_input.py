@@ -10,10 +10,11 @@ import socket
 import struct
 import termios
 import tty
+from collections.abc import Callable
 
 from hashnerf.errors import UserError
 
-DEAD_MAN_KEY, E_STOP_KEY = b"g", b" "
+DEAD_MAN_KEY, E_STOP_KEY, ESCAPE, END_KEY, ERASE_KEYS = "g", " ", "\x1b", "\x04", "\b\x7f"
 LONGEST_WORD = 16
 MOST_AT_ONCE = 100
 """Signs taken in one go, so that a sender that floods us does not hold up the loop."""
@@ -27,13 +28,19 @@ _SIGNS = ("held", "released", "closed")
 class Keyboard:
     """Standard input, from a terminal or from a program; gives `closed` at its end."""
 
-    def __init__(self, descriptor: int, dead_man: bool):
-        """Reads from a descriptor; its key `g` is the dead-man only where it is said to be."""
+    def __init__(self, descriptor: int, dead_man: bool, echo: Callable[[str], None] = lambda text: None):
+        """Reads from a descriptor; its key `g` is the dead-man only where it is said to be.
+
+        A terminal does not show what is typed any more: `echo` is given the letters of words, to be shown.
+        """
         self._descriptor, self._dead_man = descriptor, dead_man
-        self._word = b""
+        self._word = ""
+        self._escapes = False
+        """Whether an arrow's or another key's sequence has begun."""
         self._saved = termios.tcgetattr(descriptor) if os.isatty(descriptor) else None
         if self._saved is not None:
             tty.setcbreak(descriptor)
+        self._echo = echo if self._saved is not None else lambda text: None
 
     def fileno(self) -> int:
         """For select."""
@@ -46,21 +53,37 @@ class Keyboard:
         except OSError:  # the terminal is gone
             data = b""
         words = [] if data else ["closed"]
-        for code in data:
-            key = bytes([code])
-            if key == E_STOP_KEY:
-                self._word = b""
-                words.append("estop")
-            elif key == DEAD_MAN_KEY:
-                words += ["held"] if self._dead_man else []
-            elif key in b"\r\n":
-                word = self._word.decode("ascii", errors="replace")
-                if word:
-                    words.append(f"{word} (typed)" if word in _SIGNS else word)
-                self._word = b""
-            else:
-                self._word = (self._word + key)[-LONGEST_WORD:]
+        for key in data.decode("ascii", errors="replace"):
+            words += self._press(key)
         return words
+
+    def _press(self, key: str) -> list[str]:
+        """What one key says."""
+        if key == E_STOP_KEY:
+            self._word, self._escapes = "", False
+            return ["estop"]
+        if self._escapes:
+            self._escapes = not (key.isalpha() or key == "~")
+        elif key == ESCAPE:
+            self._escapes = True
+        elif key == DEAD_MAN_KEY:
+            return ["held"] if self._dead_man else []
+        elif key in "\r\n":
+            return self._enter()
+        elif key == END_KEY:
+            return ["quit"]
+        elif key in ERASE_KEYS:
+            self._echo("\b \b" if self._word else "")
+            self._word = self._word[:-1]
+        elif key.isprintable() and len(self._word) < LONGEST_WORD:
+            self._echo(key)
+            self._word += key
+        return []
+
+    def _enter(self) -> list[str]:
+        self._echo("\n")
+        word, self._word = self._word.lower(), ""
+        return [f"{word} (typed)" if word in _SIGNS else word] if word else []
 
     def close(self) -> None:
         """Gives the terminal back as it was."""
@@ -149,9 +172,7 @@ class StopFile:
 
     def __init__(self, path: str):
         self._path = path
-        self._there = False
 
     def poll(self) -> list[str]:
-        """Returns `estop` once when the file has appeared, and again when it has been removed and appears again."""
-        was_there, self._there = self._there, os.path.exists(self._path)
-        return ["estop"] if self._there and not was_there else []
+        """Returns `estop` as long as the file is there: until it is removed nothing can be armed."""
+        return ["estop"] if os.path.lexists(self._path) else []

@@ -11,14 +11,21 @@ _PR_SET_PDEATHSIG = 1
 _CURRENT_AND_FUTURE = 3
 
 
-def prefer() -> None:
-    """Runs before ordinary processes and keeps its memory, as far as the system allows; both are only precautions."""
+def prefer() -> bool:
+    """Runs before ordinary processes and keeps its memory, as far as the system allows; returns whether it runs first.
+
+    Both are only precautions.
+    """
+    hurried = True
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, -15)
-    with contextlib.suppress(OSError):
+    try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except OSError:
+        hurried = False
     ctypes.CDLL(None).mlockall(_CURRENT_AND_FUTURE)
     gc.freeze()  # what is loaded by now is not looked through again
+    return hurried
 
 
 def die_with_parent(number: signal.Signals) -> None:

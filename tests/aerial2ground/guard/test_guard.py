@@ -154,10 +154,10 @@ def test_r11_the_stop_sequence(bridge_row):
     bridge_row("R11", "brake frames, fewer than 10", max(0, 10 - len(braking)), 0)
     bridge_row("R11", "brakes for less than 0.5 s", max(0.0, 0.5 - (stood - log[0][0]) - 1e-9), 0, "s")
     # v^2 / 6 = 0.167 m, and what is driven until the first frame arrives
-    bridge_row("R11", "way from 1 m/s to standing", sum_of_way(log, bench), 0.25, "m")
+    bridge_row("R11", "way from 1 m/s to standing", sum_of_way(log), 0.25, "m")
 
 
-def sum_of_way(log, bench) -> float:
+def sum_of_way(log) -> float:
     """Metres that a car of 3 m/s^2 rolls from 1 m/s under the brake frames of a log; none were missing."""
     other = staged("driving")
     begun = other.car.metres

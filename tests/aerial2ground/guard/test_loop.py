@@ -2,7 +2,6 @@
 
 import io
 import itertools
-import json
 import math
 import os
 import threading
@@ -383,7 +382,3 @@ def test_an_announcer_whose_terminal_hangs_holds_up_nobody():
     goes_on.set()
     announcer._thread.join(30)
     assert not announcer._thread.is_alive()
-
-
-def test_the_log_is_json():
-    assert json.loads(json.dumps({"t": 0.1 + 0.2}))["t"] == 0.1 + 0.2
