@@ -282,7 +282,7 @@ def _typed(hint: Any, value: Any, where: str) -> Any:
     checker.add_argument("--value", type=hint)
     try:
         typed = checker.parse_object({"value": value}).value
-    except jsonargparse.ArgumentError as error:
+    except (jsonargparse.ArgumentError, OverflowError) as error:
         raise UserError(f"{where} = {value!r} is not valid; expected {_type_name(hint)}.") from error
     if value is None and type(None) not in typing.get_args(hint) and hint is not Any:
         raise UserError(f"{where} is empty; expected {_type_name(hint)}.")
@@ -322,6 +322,8 @@ def _parse_overrides(parser: jsonargparse.ArgumentParser, config_class: type[Con
             raise UserError(f"unknown argument --{name}; {nearest(name, known)}")
     try:
         namespace = parser.parse_args(overrides)
+    except OverflowError as error:
+        raise UserError(f"a number is too large ({error}); give a smaller one") from error
     except jsonargparse.ArgumentError as error:
         raise UserError(_argument_problem(str(error), hints)) from error
     del namespace["config"]

@@ -10,12 +10,13 @@ emergency. docs/deploy.md has wiring, settings and the list for the first run.
 
 import sys
 
-from aerial2ground.bridge.launch import LIST, DeployConfig, launch, normal_arguments
+from aerial2ground.bridge.launch import LIST, DeployConfig, fill_standard_streams, launch, normal_arguments
 from hashnerf.command_line import parse_config, run_main
 
 
 def main() -> None:
     """List the ports, or start the bridge."""
+    fill_standard_streams()
     arguments = normal_arguments(sys.argv[1:])
     if arguments == ["--port", LIST]:
         from aerial2ground.guard.serial_link import describe_candidates

@@ -8,9 +8,10 @@ from pathlib import Path
 
 from aerial2ground.bridge.drive_chart import drive_chart
 from aerial2ground.bridge.recorded_pictures import replay_answers
-from aerial2ground.bridge.replay import read_log, replay
+from aerial2ground.bridge.replay import WRONG, read_log, replay
 from aerial2ground.exported_policy import load_exported
 from hashnerf.command_line import parse_config, run_main
+from hashnerf.errors import UserError
 from hashnerf.figure_style import png_bytes
 from hashnerf.transforms_json import write_atomically
 
@@ -27,13 +28,24 @@ class ReplayConfig:
     """PNG file for a chart of what happened; empty: none."""
 
 
+def draw(log: Path, chart: Path) -> None:
+    """Writes the chart of a drive; raises UserError for a place where no file belongs, and for a damaged black box."""
+    if (chart.exists() and not chart.is_file()) or not chart.absolute().parent.is_dir():
+        raise UserError(f"--chart {chart}: no picture can be written there; give a file in a folder that exists")
+    try:
+        picture = png_bytes(drive_chart(read_log(log)))
+    except WRONG as error:
+        raise UserError(f"{log}: cannot be drawn ({error}); the black box is damaged") from error
+    write_atomically(chart, picture)
+
+
 def main() -> int:
     """Replay; exit code 1 where something differs."""
     config = parse_config(ReplayConfig, description="Replay a drive from its black box.")
     found = replay(config.log)
     print(f"{found.periods} periods, {found.different} with other bytes; faults: {', '.join(found.faults) or 'none'}")
     if config.chart:
-        write_atomically(Path(config.chart), png_bytes(drive_chart(read_log(config.log))))
+        draw(config.log, Path(config.chart))
         print(f"{config.chart} drawn")
     apart = replay_answers(config.log / "pictures", load_exported(config.policy)) if config.policy else 0.0
     if config.policy:

@@ -103,7 +103,7 @@ def open_camera(source: str, width: int = 0, height: int = 0) -> CameraSource:
     A device is asked for pictures of `width` x `height` pixels where these are given. A video file plays at its own
     frame rate. Raises CameraError, naming the source, where no picture comes within 2 s.
     """
-    shown = re.sub("//[^/@]*@", "//", source)  # without a password
+    shown = re.sub("//.*@", "//", source).partition("?")[0]  # without passwords
     pictures, stop = _pictures(source, shown, width, height)
     camera = CameraSource(shown, pictures, stop)
     try:

@@ -64,6 +64,8 @@ class DeployConfig:
             raise UserError(f"time_limit is {self.time_limit}; give seconds, at most 3600")
         if not 0 <= self.low_pass_seconds <= 10:
             raise UserError(f"low_pass_seconds is {self.low_pass_seconds}; give 0 to 10 seconds")
+        if not self.camera:
+            raise UserError("camera is empty; give a device's number, a video file or a stream's address")
         if self.dead_man == "datagrams" and not self.operator:
             raise UserError("dead_man is datagrams; say where they come to with --operator HOST:PORT")
         if self.port and self.dry_run:
@@ -110,6 +112,15 @@ def guard_settings(config: DeployConfig, car: CarFile, log: Path) -> dict:
         "operator": config.operator,
         "stop_file": config.stop_file,
     }
+
+
+def fill_standard_streams() -> None:
+    """Opens what the caller has closed of the descriptors 0 to 2, before a socket or a port becomes one of them."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
 
 
 def launch(config: DeployConfig) -> NoReturn:

@@ -25,6 +25,7 @@ from aerial2ground.bridge.recorded_pictures import Recorder
 from aerial2ground.bridge.rectification import Rectifier
 from aerial2ground.exported_policy import ExportedPolicy, load_exported
 from aerial2ground.guard.messages import READY, Command
+from aerial2ground.guard.priority import die_with_parent
 from aerial2ground.pure_pursuit import LowPass, share_after
 from hashnerf.command_line import run_main
 from hashnerf.errors import UserError
@@ -202,7 +203,9 @@ def steer(link: socket.socket, settings: PolicySettings) -> None:
 
 def main(argv: list[str]) -> int:
     """Runs the process; `argv` is the number of the inherited socket and the settings as JSON."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all: the guard decides, and we end when it does
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP):  # keys go to all: the guard decides, and ends us
+        signal.signal(number, signal.SIG_IGN)
+    die_with_parent(signal.SIGKILL)
     cv2.setNumThreads(1)
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what it has to say is in our own sentences
     if len(argv) != 2 or not argv[0].isdecimal():

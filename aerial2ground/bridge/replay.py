@@ -5,10 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aerial2ground.guard.actuation import Actuation
+from aerial2ground.guard.black_box import CAP
 from aerial2ground.guard.guard import Guard, GuardSettings
 from hashnerf.errors import UserError
 
 LOG = "log.jsonl"
+WRONG = (KeyError, TypeError, ValueError, AttributeError, OverflowError, UserError)
+"""What a black box raises that is none, or was changed by hand."""
+LARGEST = 2 * CAP
 
 
 @dataclass(frozen=True)
@@ -31,12 +35,14 @@ def read_log(folder: Path) -> list[dict]:
     file = folder / LOG
     if not file.is_file():
         raise UserError(f"{file}: no such black box; give the folder of one drive, below --log")
-    lines = file.read_text(encoding="utf-8").splitlines()
+    if file.stat().st_size > LARGEST:
+        raise UserError(f"{file}: is over {LARGEST // 10**6} MB; a black box ends at {CAP // 10**6}")
+    lines = file.read_bytes().splitlines()
     records = []
     for number, line in enumerate(lines, 1):
         try:
             records.append(json.loads(line))
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             if number < len(lines):  # the last one may be cut, as the power was
                 raise UserError(f"{file}: line {number} is no JSON; the black box is damaged") from error
     return records
@@ -54,6 +60,6 @@ def replay(folder: Path) -> Replay:
             different += b"".join(guard.tick(record["t"])).hex() != record["out"]
             if guard.fault is not None and (not faults or faults[-1] != guard.fault.name):
                 faults.append(guard.fault.name)
-    except (KeyError, TypeError, ValueError) as error:
+    except WRONG as error:
         raise UserError(f"{folder / LOG}: is no black box of this version ({error}); replay it with its own") from error
     return Replay(len(records), different, tuple(faults))

@@ -23,11 +23,14 @@ from aerial2ground.bridge.fake_vesc import FakeVesc
 from aerial2ground.bridge.picture_stream import PictureStream, encoded
 from aerial2ground.bridge.trial_policies import Kind, trial_policy
 from aerial2ground.bridge.wire import first_brake_after
+from aerial2ground.guard.arming import WHEELS
 from hashnerf.errors import UserError
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = ROOT / "scripts" / "deploy_racecar.py"
 WIDTH, HEIGHT, RATE = 48, 27, 30
+LOOKING = 2 * WHEELS + 0.3
+"""Seconds for which the wheels are turned, and a little."""
 PATIENCE = 20.0
 """Seconds in which anything that the rig waits for must have come: far more than it takes on a busy machine."""
 
@@ -156,13 +159,9 @@ class BridgeProcess:
         begun = time.monotonic()
         self.say("check")
         self.wait_for_words("the wheels turn left", begun)
-        self.wait_for(self._confirmed, "the look at the wheels")
-
-    def _confirmed(self) -> bool:
-        before = time.monotonic()
+        time.sleep(LOOKING)
         self.say("yes")
-        time.sleep(0.15)
-        return self.said("say check first", before) is None
+        self.wait_for_words("good", begun)
 
     def arm(self) -> None:
         """Arms the car and takes the dead-man; the wheels must have been confirmed."""

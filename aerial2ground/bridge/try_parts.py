@@ -86,11 +86,12 @@ def try_laps(config: Any, folder: Path) -> list[dict]:
 
 
 def _sentence(laps: Mapping) -> str:
-    drive = laps["bridge"]
+    drive, alone = laps["bridge"], laps["simulator"]
     ended = f"; ENDED BY {drive['faults'][0]}" if drive["faults"] else ""
     return (
-        f"{laps['trajectory']}: {drive['laps']} laps in {drive['seconds']:.0f} s, {drive['interventions']} interventions, "
-        f"{100 * (drive['position_rmse'] or 0):.1f} cm off (simulator {100 * laps['simulator']['position_rmse']:.1f}){ended}"
+        f"{laps['trajectory']}: {drive['laps']} laps in {drive['seconds']:.0f} s, {drive['interventions']} "
+        f"interventions, {100 * (drive['position_rmse'] or 0):.1f} cm off (in the simulator alone "
+        f"{alone['interventions']} and {100 * alone['position_rmse']:.1f} cm){ended}"
     )
 
 

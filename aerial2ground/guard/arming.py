@@ -56,6 +56,11 @@ class TimeoutProbe:
         self.seconds = math.inf
         return None
 
+    def begin_anew(self) -> None:
+        """Forgets a measurement that is not over."""
+        if self.seconds is None:
+            self._start, self._was_clear = None, False
+
     def accept(self, values: Values, now: float) -> None:
         """Takes an answer in."""
         if self._start is None or self.seconds is not None or values.status is None:
@@ -135,5 +140,5 @@ class WheelCheck:
         """Takes the operator's word; returns whether it was asked for: not before the wheels have turned both ways."""
         asked = {0, 1} <= self._turned and now - self._start >= 2 * WHEELS
         if asked:
-            self.confirmed = well
+            self.confirmed, self._turned = well, set()  # who has said no has to look again
         return asked

@@ -16,6 +16,7 @@ CAP = 100_000_000
 SLOTS, SLOT = 3000, 1024
 """Lines of the ring, and bytes of each: a minute at 50 a second."""
 QUEUE = 3000
+CUT = b'{"in":"cut"}\n'
 
 
 class BlackBox:
@@ -25,7 +26,7 @@ class BlackBox:
         """Makes the folder and takes the ring's place; raises UserError where there is no room for it."""
         self.lost = 0
         self._cap, self._written, self._slot = cap, 0, 0
-        self._lines: deque[bytes] = deque(maxlen=QUEUE)
+        self._lines: deque[tuple[bytes, bytes]] = deque(maxlen=QUEUE)
         self._there = threading.Event()
         self._ends = False
         try:
@@ -43,7 +44,10 @@ class BlackBox:
         """Queues a record; never waits."""
         if len(self._lines) == QUEUE:
             self.lost += 1
-        self._lines.append(json.dumps(record, separators=(",", ":")).encode() + b"\n")
+        line = _line(record)
+        # of a period that is flooded the ring keeps what went out, not what came in
+        fitting = (one for one in (line, _line(record | {"in": "cut"}), CUT) if len(one) <= SLOT)
+        self._lines.append((line, next(fitting)))
         self._there.set()
 
     def close(self, seconds: float = 1.0) -> None:
@@ -57,13 +61,12 @@ class BlackBox:
             self._there.wait()
             self._there.clear()
             while self._lines:
-                self._write(self._lines.popleft())
+                self._write(*self._lines.popleft())
         os.close(self._ring)
         if self._log is not None:
             os.close(self._log)
 
-    def _write(self, line: bytes) -> None:
-        short = line if len(line) <= SLOT else b'{"cut":true}\n'
+    def _write(self, line: bytes, short: bytes) -> None:
         try:
             os.pwrite(self._ring, short[:-1].ljust(SLOT - 1) + b"\n", self._slot * SLOT)
             self._slot = (self._slot + 1) % SLOTS
@@ -75,3 +78,7 @@ class BlackBox:
             self._written += os.write(self._log, line)
         except OSError:
             self.lost += 1
+
+
+def _line(record: dict) -> bytes:
+    return json.dumps(record, separators=(",", ":")).encode() + b"\n"

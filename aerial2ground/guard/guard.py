@@ -161,8 +161,9 @@ class Guard:
         if not self.policy_ready:
             return []
         # a car that may still roll is braked, not measured
-        probing = None if self.state is State.STOPPING else self.probe.frames(now)
-        if probing is not None:
+        if self.state is State.STOPPING or not abs(self._car.erpm(self.controller.speed(now))) < STILL:
+            self.probe.begin_anew()
+        elif (probing := self.probe.frames(now)) is not None:
             return probing
         if not self._told and self.probe.seconds is not None:
             self._told = True

@@ -26,7 +26,13 @@ from aerial2ground.guard.serial_link import stable_name
 from hashnerf.errors import UserError
 
 KEY, DATAGRAMS = "key", "datagrams"
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+SIGNALS = tuple(
+    getattr(signal, f"SIG{name}")
+    for name in ("INT", "TERM", "HUP", "QUIT", "TSTP", "USR1", "USR2", "ALRM", "VTALRM", "PROF", "XCPU")
+)
+"""All that would end or halt a process and can be caught: each stops the car first, Ctrl-Z as well."""
+IGNORED = (signal.SIGTTOU, signal.SIGTTIN)
+"""Sent to a process that is not in the foreground of its terminal: reading it fails then, and that ends us."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +70,9 @@ def main(argv: Sequence[str]) -> int:
         end_child(settings.policy_process, 0.0)
         print(error, file=sys.stderr)
         return 2
+    except BaseException:
+        end_child(settings.policy_process, 0.0)
+        raise
     ended = end_child(settings.policy_process, 1.0)
     if status == 0:
         return max(ended, 0)  # what the policy's process found wrong is said, though the operator has gone
@@ -87,10 +96,10 @@ def run_guard(settings: ProcessSettings, hurried: bool = True) -> int:
         if settings.operator:
             inputs.append(Datagrams(settings.operator, settings.dead_man == DATAGRAMS))
             stack.callback(inputs[1].close)
-        polled: list[Joystick | StopFile] = []
+        polled: list[Keyboard | Joystick | StopFile] = [inputs[0]]
         if settings.dead_man not in (KEY, DATAGRAMS):
             polled.append(Joystick(settings.dead_man))
-            stack.callback(polled[0].close)
+            stack.callback(polled[-1].close)
         if settings.stop_file:
             polled.append(StopFile(settings.stop_file))
         black_box = BlackBox(Path(settings.log))
@@ -114,7 +123,8 @@ def signal_socket() -> Iterator[socket.socket]:
     writer.setblocking(False)
     wakeup = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
     before = {number: signal.signal(number, lambda *_: None) for number in SIGNALS}
-    before[signal.SIGTTOU] = signal.signal(signal.SIGTTOU, signal.SIG_IGN)
+    before |= {number: signal.signal(number, signal.SIG_IGN) for number in IGNORED}
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)  # whoever started us may have blocked them
     try:
         yield reader
     finally:

@@ -25,6 +25,12 @@ FIRMWARE_SECONDS, END_SECONDS = 0.7, 0.9
 FIRST_RETRY, LAST_RETRY = 0.5, 5.0
 MOST_MESSAGES = 100
 """Taken in one go, so that a policy that floods us does not hold up the loop."""
+MOST_HAPPENINGS = 300
+"""Taken in one period; what is more is a flood, of which only stops are heard."""
+STOPS = ("estop", "stop", "released")
+MOST_SENTENCES = 1000
+SAME_AGAIN = 1.0
+"""Seconds in which a sentence is not said again."""
 POLICY_DECIDES = -1
 MOVING = (State.ARMED, State.STOPPING)
 
@@ -33,21 +39,23 @@ class Announcer:
     """Prints sentences from a thread: a terminal that hangs must not hold up the loop."""
 
     def __init__(self, stream: io.TextIOBase):
-        self._queue: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        self._queue: queue.Queue[str | None] = queue.Queue(MOST_SENTENCES)
         self._thread = threading.Thread(target=self._run, args=(stream,), daemon=True)
         self._thread.start()
 
     def say(self, sentence: str) -> None:
-        """Queues a sentence."""
-        self._queue.put(sentence + "\n")
+        """Queues a sentence; it is lost where too many wait already."""
+        self.echo(sentence + "\n")
 
     def echo(self, text: str) -> None:
         """Queues what was typed."""
-        self._queue.put(text)
+        with contextlib.suppress(queue.Full):
+            self._queue.put_nowait(text)
 
     def close(self) -> None:
         """Prints what is queued, if that does not take long."""
-        self._queue.put(None)
+        with contextlib.suppress(queue.Full):
+            self._queue.put_nowait(None)
         self._thread.join(0.3)
 
     def _run(self, stream: io.TextIOBase) -> None:
@@ -66,13 +74,13 @@ class Loop:
     """Empty: none is opened."""
     policy: socket.socket
     inputs: list[Keyboard | Datagrams]
-    polled: Sequence[Joystick | StopFile]
+    polled: Sequence[Keyboard | Joystick | StopFile]
     signals: socket.socket
     black_box: BlackBox
     say: Callable[[str], None]
     clock: Callable[[], float] = time.monotonic
     greeting: list[str] = field(default_factory=list)
-    """Said when there is a motor controller, or at once where none is wanted."""
+    """Said when the policy is loaded and there is a motor controller, where one is wanted."""
     link: SerialLink | None = None
     status: int | None = None
     """What the process will end with, once something ends it."""
@@ -83,6 +91,9 @@ class Loop:
     _retry_after: float = FIRST_RETRY
     _ends_at: float = math.inf
     _reports_at: float = 0.0
+    _looked: float = math.inf
+    _said: dict[str, float] = field(default_factory=dict)
+    """When each sentence was said last."""
     _happened: list = field(default_factory=list)
     """What the guard took in since the last cycle, for the black box."""
 
@@ -94,8 +105,6 @@ class Loop:
         start = following = self.clock()
         if self.port:
             self._open(start)
-        else:
-            self._greet()
         while self.status is None or (self.guard.state in MOVING and self.clock() < self._ends_at):
             before = self.guard.state, self.guard.fault
             self._listen(max(0.0, following - self.clock()))
@@ -110,10 +119,6 @@ class Loop:
         self._cycle(self.clock())  # the state after the stop sequence has its frames, too
         return self.status
 
-    def _greet(self) -> None:
-        for sentence in self.greeting:
-            self.say(sentence)
-
     def close_link(self) -> None:
         """Closes the port."""
         if self.link is not None:
@@ -121,6 +126,8 @@ class Loop:
             self.link = None
 
     def _take(self, kind: str, value: str, now: float) -> None:
+        if len(self._happened) >= MOST_HAPPENINGS and kind in ("word", "message", "payload") and value not in STOPS:
+            return
         self._happened.append([now, kind, value])
         self.guard.take(kind, value, now)
 
@@ -139,6 +146,7 @@ class Loop:
             readers.append(self.link)
         readable = select.select(readers, [], [], seconds)[0]
         now = self.clock()
+        latest, self._looked = self._looked + PERIOD, now
         for reader in readable:
             if reader is self.signals:
                 self._end(128 + self.signals.recv(1)[0], now)
@@ -147,7 +155,7 @@ class Loop:
             elif reader is self.link:
                 self._read_link(now)
             else:
-                self._read_words(reader, now)
+                self._read_words(reader, now, latest)
 
     def _read_policy(self, now: float) -> None:
         with contextlib.suppress(BlockingIOError):
@@ -169,12 +177,13 @@ class Loop:
         except ConnectionError:
             return b""
 
-    def _read_words(self, reader: Keyboard | Datagrams, now: float) -> None:
+    def _read_words(self, reader: Keyboard | Datagrams, now: float, latest: float) -> None:
         for word in reader.read():
             if word in ("quit", "closed"):
                 self._end(0, now)
             else:
-                self._take("word", word, now)
+                # one that waited while we slept tells of a hand of that time, not of now
+                self._take("word", word, min(now, latest) if word == "held" else now)
             if word == "closed":
                 self.inputs.remove(reader)
                 self.say("standard input is closed: nobody could stop the car, so this ends")
@@ -214,13 +223,21 @@ class Loop:
 
     def _cycle(self, now: float) -> None:
         """What the guard says to it, goes out."""
+        if self.guard.policy_ready and (self.guard.firmware is not None or not self.port):
+            for sentence in self.greeting:
+                self.say(sentence)
+            self.greeting.clear()
         frames = b"".join(self.guard.tick(now))
         self._record(frames, now)
         if frames:
             self._write(frames, now)
         for note in self.guard.notes:
-            self.say(note)
+            if now - self._said.get(note, -math.inf) >= SAME_AGAIN:
+                self.say(note)
+                self._said[note] = now
         self.guard.notes.clear()
+        if len(self._said) > MOST_SENTENCES:
+            self._said.clear()
 
     def _write(self, frames: bytes, now: float) -> None:
         try:
@@ -259,9 +276,7 @@ class Loop:
                 f"update it to {OLDEST_FIRMWARE} or newer with VESC Tool"
             )
         self._was_connected = firmware is not None
-        if self._was_connected:
-            self._greet()
-        elif seconds > FIRMWARE_SECONDS:
+        if not self._was_connected and seconds > FIRMWARE_SECONDS:
             raise UserError(f"{self.port}: nothing there answers as a VESC does; give the motor controller's port")
 
     def _record(self, frames: bytes, now: float) -> None:

@@ -1,5 +1,6 @@
 """The serial port: opened for this process alone, read without waiting, written within milliseconds or not at all."""
 
+import contextlib
 import errno
 import fcntl
 import os
@@ -35,6 +36,8 @@ class SerialLink:
             self._serial = serial.Serial(port, 115200, timeout=0, write_timeout=WRITE_SECONDS, exclusive=True)
         except (OSError, ValueError, termios.error) as error:
             raise UserError(f"{port}: {_why(port, error)}") from error
+        with contextlib.suppress(OSError):  # keeps out programs that do not ask for the lock, root's apart
+            fcntl.ioctl(self._serial.fileno(), termios.TIOCEXCL)
 
     def fileno(self) -> int:
         """For select."""

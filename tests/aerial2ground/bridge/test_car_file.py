@@ -37,9 +37,22 @@ def test_mini_city_is_the_simulated_car():
     assert (car.camera.cx, car.camera.cy, car.camera.k1, car.camera.pitch) == (24.0, 13.5, 0.0, -6.0)
 
 
-def test_what_is_not_said_of_the_actuation_is_f1tenth(tmp_path):
-    car = load(tmp_path, CAMERA + "actuation: {wheelbase: 0.3}")
+def test_what_need_not_be_said_of_the_actuation_is_f1tenth(tmp_path):
+    own = "speed_to_erpm_gain: 4614, servo_gain: -1.2135, servo_offset: 0.5304, steering_limit: 0.263"
+    car = load(tmp_path, CAMERA + f"actuation: {{{own}, wheelbase: 0.3}}")
     assert car.actuation == Actuation(wheelbase=0.3) and car.camera.k1 == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "lacking"),
+    [
+        ("", "speed_to_erpm_gain, servo_gain, servo_offset, steering_limit, wheelbase"),
+        ("actuation: {speed_to_erpm_gain: 4614, servo_offset: 0.53, wheelbase: 0.3}", "servo_gain, steering_limit"),
+    ],
+)
+def test_what_every_car_has_of_its_own_must_be_said(text, lacking, tmp_path):
+    with pytest.raises(UserError, match=rf"car\.yaml: actuation lacks {lacking}; measure them"):
+        load(tmp_path, CAMERA + text)
 
 
 @pytest.mark.parametrize(
@@ -77,7 +90,7 @@ def test_mistakes_are_named_with_file_and_key(tmp_path, text, sentence):
 
 
 def test_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(UserError, match=r"car\.yaml: no such config file"):
+    with pytest.raises(UserError, match=r"car\.yaml: no such car file; start from configs/cars/f1tenth\.yaml"):
         load_car(tmp_path / "car.yaml")
 
 

@@ -83,6 +83,7 @@ def test_arguments_as_operators_write_them(words, normal):
         ({"time_limit": 0.0}, "time_limit is 0.0"),
         ({"time_limit": 3601.0}, "time_limit is 3601.0"),
         ({"low_pass_seconds": -1.0}, "low_pass_seconds is -1.0"),
+        ({"camera": ""}, "camera is empty"),
         ({"dead_man": "datagrams"}, "say where they come to with --operator"),
     ],
 )
@@ -200,7 +201,7 @@ def test_r27_a_dry_run_opens_no_port(tmp_path, camera, policy, bridge_row):
         stdout=subprocess.PIPE,
         text=True,
     )
-    line = bridge.stdout.readline()
+    line = next(line for line in bridge.stdout if line.startswith("steering"))
     files = [os.readlink(f"/proc/{bridge.pid}/fd/{name}") for name in os.listdir(f"/proc/{bridge.pid}/fd")]
     ports = [file for file in files if file.startswith("/dev/") and file != "/dev/null"]
     bridge.stdin.close()

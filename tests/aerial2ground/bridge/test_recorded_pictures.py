@@ -87,7 +87,7 @@ def test_what_a_killed_process_leaves_is_read_up_to_there(tmp_path, policy):
 
 
 def test_folders_that_are_no_recording(tmp_path, policy):
-    with pytest.raises(UserError, match=r"lacks recording\.json, pictures\.raw, index\.jsonl; give a folder"):
+    with pytest.raises(UserError, match=r"pictures\.raw, index\.jsonl; start the drive with --record true"):
         replay_answers(tmp_path, policy)
     record(tmp_path / "drive", [])
     with pytest.raises(UserError, match="holds no whole picture"):

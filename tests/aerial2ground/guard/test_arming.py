@@ -188,8 +188,10 @@ def test_the_answer_is_taken_when_both_sides_have_been_seen():
     wheels = turned(1.6)
     assert not wheels.answer(True, 1.39) and not wheels.confirmed
     assert wheels.answer(True, 1.4) and wheels.confirmed
+    assert not wheels.answer(False, 1.5) and wheels.confirmed, "said once for each look"
+    wheels = turned(1.6)
     assert wheels.answer(False, 1.5) and not wheels.confirmed
-    assert wheels.answer(True, 1e6) and wheels.confirmed
+    assert not wheels.answer(True, 1e6) and not wheels.confirmed, "no is not taken back without another look"
     wheels.begin(2.0)
     assert not wheels.confirmed
     assert not wheels.answer(True, 9.0)  # begun anew, not turned

@@ -76,11 +76,12 @@ def test_every_line_of_the_ring_has_the_same_length(tmp_path):
     box = BlackBox(tmp_path)
     fits = {"x": "y" * (SLOT - len('{"x":""}') - 1)}
     too_long = {"x": fits["x"] + "y"}
-    for record in (fits, too_long, {"t": 1}):
+    flooded = {"t": 2, "in": [[0, "word", "held"]] * 100, "out": "02"}
+    for record in (fits, too_long, flooded):
         box.add(record)
     box.close(10.0)
-    assert ring(tmp_path) == [fits, {"cut": True}, {"t": 1}]
-    assert lines(tmp_path) == [fits, too_long, {"t": 1}]
+    assert ring(tmp_path) == [fits, {"in": "cut"}, {"t": 2, "in": "cut", "out": "02"}]
+    assert lines(tmp_path) == [fits, too_long, flooded]
     data = (tmp_path / "last_minute.jsonl").read_bytes()
     assert [place for place, code in enumerate(data) if code == 10] == [1023, 2047, 3071]
 

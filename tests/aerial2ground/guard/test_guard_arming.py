@@ -30,7 +30,7 @@ def test_r01_no_motion_before_arming(bridge_row):
     bench.speed, bench.hand = 1.0, True
     bench.run(3.0)
     kinds = {kind for _, _, frames in bench.log for kind, _ in frames}
-    assert kinds == {FIRMWARE, ANSWER, CURRENT, SERVO}
+    assert kinds == {FIRMWARE, ANSWER, CURRENT, BRAKE, SERVO}
     assert {argument for _, argument in sent(bench.log, SERVO)} == {530}
     assert bench.state is State.DISARMED
     moving = sum(is_motion(*frame) for _, _, frames in bench.log for frame in frames)
@@ -53,8 +53,10 @@ def test_the_order_of_the_first_frames():
     assert not any(frames for _, _, frames in bench.run(0.2))  # no policy
     bench.say("message", b"ready".hex())
     log = bench.run(0.2)
-    assert [frames for _, _, frames in log] == [((CURRENT, 0), (ANSWER, 0)), *[((ANSWER, 0),)] * 9]
-    bench.run(0.1)
+    # braked until the wheels are known to stand, then one set-point and nothing but questions
+    first = ((BRAKE, 10_000), (SERVO, 530), (ANSWER, 0))
+    assert [frames for _, _, frames in log] == [first, ((CURRENT, 0), (ANSWER, 0)), *[((ANSWER, 0),)] * 8]
+    bench.run(0.12)
     assert bench.notes == ["the motor controller stops by itself after 240 ms of silence"]
     assert {frames for _, _, frames in bench.run(0.2)} == {((CURRENT, 0), (SERVO, 530), (ANSWER, 0))}
 
@@ -96,7 +98,7 @@ def new_policy_that_is_fast(bench):
 
 
 ALONE = {
-    "camera": (other("camera_lives", False), "of 10 different pictures in the last half second"),
+    "camera": (other("camera_lives", False), "10 different pictures in the last half second (there were "),
     "policy": (other("policy_lives", False), "fresh commands of the policy"),
     "speed": (new_policy_that_is_fast, "a policy that asks for no speed before the car is armed"),
     "policy not ready": (lambda bench: setattr(bench.guard, "policy_ready", False), "a policy that is loaded"),
@@ -175,7 +177,7 @@ def test_arming_takes_the_word_and_the_hand():
     assert bench.state is State.DISARMED
     bench.hand = False
     bench.say("arm")
-    assert bench.guard.notes[-1] == "DISARMED -> READY: take the dead-man within 30 s"
+    assert bench.guard.notes[-1] == "DISARMED -> READY: hold the dead-man within 30 s, and while the car drives"
     bench.run(0.2)
     assert bench.state is State.READY
     bench.hand = True
@@ -249,11 +251,13 @@ def test_words_that_do_not_fit(stage):
 
 def test_words_that_are_none():
     bench = staged("checked")
+    bench.guard.notes.clear()
     bench.say("go")
     (note,) = bench.guard.notes
     assert note.startswith("'go' is no command; say check, yes, no, arm, stop or quit")
     for word in ("yes", "no"):
         bench = staged("connected")
+        bench.guard.notes.clear()
         bench.say(word)
         assert bench.guard.notes == ["say check first, and look at the wheels until they stand straight"]
         assert bench.state is State.DISARMED

@@ -40,7 +40,7 @@ class Place:
         self.port = os.ttyname(self._slave)
         self._ends, self._threads = threading.Event(), []
         monkeypatch.setattr(sys, "stdin", SimpleNamespace(fileno=lambda: self.reader))
-        monkeypatch.setattr(guard_process, "prefer", lambda: self.prepared.append("prefer"))
+        monkeypatch.setattr(guard_process, "prefer", lambda: self.prepared.append("prefer") is None)
         monkeypatch.setattr(guard_process, "die_with_parent", self.prepared.append)
 
     def settings(self, **changed) -> dict:
@@ -147,7 +147,8 @@ def test_a_port_with_a_controller(place, capsys, monkeypatch):
     place.policy.send(b"ready")
 
     def quit_later():
-        place.wait_for(lambda: bytes.fromhex("02030c") in place.heard)
+        # set-points go on after the one with which the timeout is measured
+        place.wait_for(lambda: bytes.fromhex("02030c") in place.heard.partition(bytes.fromhex("0205060000000000"))[2])
         os.write(place.keys, b"hello\nquit\n")
 
     place.start(quit_later)
@@ -200,7 +201,7 @@ def test_the_terminal_is_given_back_whatever_happens(place, monkeypatch):
     ours, theirs = pty.openpty()
     before = termios.tcgetattr(theirs)
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(fileno=lambda: theirs))
-    with pytest.raises(UserError, match="cannot listen there"):
+    with pytest.raises(UserError, match="says no host"):
         run_guard(ProcessSettings(**place.settings(operator="nowhere")))
     assert termios.tcgetattr(theirs) == before
     os.close(ours)
@@ -293,7 +294,7 @@ def ended_child(code: int) -> int:
 
 def test_main_waits_for_the_child_and_ends_with_its_own_status(place):
     os.write(place.keys, b"quit\n")
-    child = ended_child(3)
+    child = ended_child(0)
     assert main(argument(place, policy_process=child)) == 0
     assert place.prepared == [signal.SIGHUP, "prefer"]
     with pytest.raises(ChildProcessError):
@@ -378,7 +379,7 @@ def test_the_car_is_that_of_the_settings(place, monkeypatch):
 
 
 def test_it_is_a_program(place, monkeypatch):
-    monkeypatch.setattr(priority, "prefer", lambda: None)
+    monkeypatch.setattr(priority, "prefer", lambda: True)
     monkeypatch.setattr(priority, "die_with_parent", lambda number: None)
     monkeypatch.setattr(sys, "argv", argument(place))
     monkeypatch.delitem(sys.modules, "aerial2ground.guard.guard_process")

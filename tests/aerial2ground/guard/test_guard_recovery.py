@@ -41,7 +41,7 @@ def test_r24_only_arming_clears_it(bridge_row):
     assert bench.state is State.FAULT
     bench.notes.clear()
     bench.arm()
-    assert "FAULT -> READY: take the dead-man within 30 s" in bench.notes
+    assert "FAULT -> READY: hold the dead-man within 30 s, and while the car drives" in bench.notes
     bench.drive()
     bridge_row("R24", "does not drive after it was armed anew", bench.car.speed < 0.99 or bench.fault != "", 0)
 

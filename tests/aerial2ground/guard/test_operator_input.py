@@ -25,7 +25,6 @@ def keys():
 def test_words_and_signs(keys):
     reader, typing = keys
     keyboard = Keyboard(reader, True)
-    assert keyboard.fileno() == reader
     typing(b"arm\n")
     assert keyboard.read() == ["arm"]
     typing(b"ggg")
@@ -61,13 +60,28 @@ def test_signs_are_no_words(keys, dead_man):
     assert keyboard.read() == ["held (typed)", "released (typed)", "closed (typed)"]
 
 
-def test_long_words_keep_their_end_and_odd_bytes_do_no_harm(keys):
+def test_long_words_are_cut_and_odd_bytes_do_no_harm(keys):
     reader, typing = keys
     keyboard = Keyboard(reader, True)
-    typing(b"x" * 100 + b"0123456789abcdef\n\xff\x00\x04\n")
-    assert keyboard.read() == ["0123456789abcdef", "�\x00\x04"]
-    typing(b"0123456789abcdefh\n")
-    assert keyboard.read() == ["123456789abcdefh"]
+    typing(b"0123456789abcdefh" * 9 + b"\nar\x00\x01\tm\n\xff\n")
+    assert keyboard.read() == ["0123456789abcdef", "arm", "�"]
+    keyboard.close()
+
+
+def test_words_are_mended_as_in_any_terminal(keys):
+    reader, typing = keys
+    keyboard = Keyboard(reader, True)
+    typing(b"\x7fchekc\x7f\bck\nARM\n")
+    assert keyboard.read() == ["check", "arm"]
+    typing(b"st\x1b[Aop\x1b[3~\n\x1bOC\n")  # arrow up, delete, arrow right
+    assert keyboard.read() == ["stop"]
+    typing(b"quit\x04")
+    assert keyboard.read() == ["quit"]
+    typing(b"\n\x1b[")
+    assert keyboard.read() == ["quit"]
+    typing(b" arm\n")  # the space bar is heard in the middle of anything
+    assert keyboard.read() == ["estop", "arm"]
+    keyboard.close()
 
 
 def test_the_end_of_the_input():
@@ -81,10 +95,45 @@ def test_the_end_of_the_input():
 
 
 def test_an_input_that_cannot_be_read_any_more_is_closed():
-    reader, writer = os.pipe()
-    assert Keyboard(writer, True).read() == ["closed"]  # nothing can be read from this end
-    os.close(reader)
-    os.close(writer)
+    ours, theirs = pty.openpty()
+    keyboard = Keyboard(theirs, True)
+    os.close(ours)  # the terminal hangs up
+    assert keyboard.read() == ["closed"] and keyboard.poll() == []
+    keyboard.close()
+    os.close(theirs)
+
+
+def test_an_input_that_somebody_else_has_read_is_not_waited_for(keys):
+    reader, _ = keys
+    keyboard = Keyboard(reader, True)
+    assert keyboard.read() == []
+    keyboard.close()
+
+
+def test_a_socket_can_be_the_keyboard():
+    ours, theirs = socket.socketpair()
+    keyboard = Keyboard(ours.fileno(), True)
+    theirs.send(b"arm\n")
+    assert keyboard.read() == ["arm"]
+    keyboard.close()
+    ours.close()
+    theirs.close()
+
+
+def test_a_terminal_that_a_shell_has_changed_gives_every_key_at_once_again():
+    ours, theirs = pty.openpty()
+    before = termios.tcgetattr(theirs)
+    shown = []
+    keyboard = Keyboard(theirs, True, shown.append)
+    os.write(ours, b"ax\x7frm")
+    assert keyboard.read() == [] and "".join(shown) == "ax\b \brm"
+    termios.tcsetattr(theirs, termios.TCSANOW, before)
+    os.write(ours, b" ")
+    assert keyboard.poll() == [] and keyboard.read() == ["estop"]
+    keyboard.close()
+    assert termios.tcgetattr(theirs) == before
+    os.close(ours)
+    os.close(theirs)
 
 
 def test_a_terminal_gives_every_key_and_is_given_back():
@@ -144,6 +193,20 @@ def test_other_buttons_axes_and_what_is_told_at_the_start(stick):
     joystick.close()
 
 
+def test_what_is_told_after_an_overflow_releases_and_never_presses(stick):
+    path, writer = stick
+    joystick = Joystick(f"{path}:5")
+    os.write(writer, event(5, 1))
+    assert joystick.poll() == ["held"]
+    os.write(writer, event(5, 1, kind=0x81))
+    assert joystick.poll() == ["held"]
+    os.write(writer, event(5, 0, kind=0x81))
+    assert joystick.poll() == ["released"]
+    os.write(writer, event(5, 1, kind=0x81))
+    assert joystick.poll() == []
+    joystick.close()
+
+
 def test_a_joystick_that_floods_does_not_hold_up_the_loop(stick):
     path, writer = stick
     joystick = Joystick(f"{path}:5")
@@ -177,7 +240,8 @@ def test_a_joystick_that_is_unplugged_is_let_go_for_good(tmp_path, torn):
 
 
 def test_joysticks_that_are_none(tmp_path):
-    for name in (str(tmp_path), f"{tmp_path}:", f"{tmp_path}:five", f"{tmp_path}:-1"):
+    (tmp_path / "file").write_bytes(event(5, 1))
+    for name in (str(tmp_path), f"{tmp_path}:", "js:five", "js:-1", f"{tmp_path}:5", f"{tmp_path}/file:5"):
         with pytest.raises(UserError, match=r"--dead_man .*: say which button .* as .*:5$"):
             Joystick(name)
     with pytest.raises(UserError, match=r"js9: no joystick can be read here \(No such file or directory\); plug it in"):
@@ -240,7 +304,13 @@ def test_a_datagram_that_is_damaged_is_none(remote):
     datagrams.close()
 
 
-@pytest.mark.parametrize("address", ["127.0.0.1", "127.0.0.1:", "127.0.0.1:x", "127.0.0.1:70000", "192.0.2.1:9000", ""])
+@pytest.mark.parametrize("address", ["", "127.0.0.1", ":5000"])
+def test_an_address_says_its_host(address):
+    with pytest.raises(UserError, match=rf"--operator {address}: says no host, so anybody could be the operator"):
+        Datagrams(address, True)
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:", "127.0.0.1:x", "127.0.0.1:70000", "192.0.2.1:9000"])
 def test_addresses_at_which_nothing_can_be_heard(address):
     with pytest.raises(UserError, match=rf"--operator {address}: cannot listen there \(.*\); give HOST:PORT"):
         Datagrams(address, True)
@@ -253,16 +323,14 @@ def test_an_address_that_is_taken():
     datagrams.close()
 
 
-def test_a_file_stops_once_for_every_time_it_appears(tmp_path):
+def test_a_file_stops_as_long_as_it_is_there(tmp_path):
     file = StopFile(str(tmp_path / "estop"))
     assert file.poll() == []
-    (tmp_path / "estop").touch()
-    assert file.poll() == ["estop"]
-    assert file.poll() == file.poll() == []
+    (tmp_path / "estop").symlink_to(tmp_path / "nowhere")
+    assert file.poll() == file.poll() == ["estop"]
     (tmp_path / "estop").unlink()
     assert file.poll() == []
-    (tmp_path / "estop").touch()
-    assert file.poll() == ["estop"]
+    file.close()
 
 
 def test_a_file_that_was_there_before_stops_too(tmp_path):
@@ -270,12 +338,15 @@ def test_a_file_that_was_there_before_stops_too(tmp_path):
     assert StopFile(str(tmp_path / "estop")).poll() == ["estop"]
 
 
-def test_a_file_that_cannot_be_looked_for_does_not_end_the_guard(tmp_path):
-    assert StopFile(str(tmp_path / ("x" * 5000))).poll() == []
+@pytest.mark.parametrize("name", ["x" * 256, "no_folder/estop"])
+def test_a_file_that_can_never_be_made_is_refused(tmp_path, name):
+    with pytest.raises(UserError, match="no file can be made there"):
+        StopFile(str(tmp_path / name))
 
 
 def test_keys_that_flood_are_taken_in_pieces(keys):
     reader, typing = keys
     typing(b"g" * 5000)
     keyboard = Keyboard(reader, True)
-    assert [len(keyboard.read()), len(keyboard.read())] == [4096, 904]
+    assert [len(keyboard.read()), len(keyboard.read())] == [256, 256]
+    keyboard.close()

@@ -76,8 +76,8 @@ def system(monkeypatch):
 
 
 def test_r30_the_guard_goes_first(system, bridge_row):
-    prefer()
-    wanted = [("setpriority", os.PRIO_PROCESS, 0, -15), (0, os.SCHED_FIFO, 1), ("mlockall", 3), "freeze"]
+    assert prefer()
+    wanted = [("setpriority", os.PRIO_PROCESS, 0, -15), (0, os.SCHED_FIFO, 1), ("mlockall", 1), "freeze"]
     bridge_row("R30", "precautions that are not asked for", sum(one not in system for one in wanted), 0)
     assert system == wanted
 
@@ -88,8 +88,8 @@ def test_a_system_that_allows_none_of_it(system, monkeypatch, name):
         raise PermissionError
 
     monkeypatch.setattr(priority.os, name, refuse)
-    prefer()
-    assert system[-2:] == [("mlockall", 3), "freeze"] and len(system) == 3
+    assert prefer() is (name == "setpriority")
+    assert system[-2:] == [("mlockall", 1), "freeze"] and len(system) == 3
 
 
 def test_the_end_of_the_parent_is_a_signal(system):
