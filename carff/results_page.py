@@ -17,8 +17,9 @@ tried and what limits the figures: [notes.md](notes.md).
 aerial2ground: [its figures](aerial2ground.md), [what limits them](aerial2ground_notes.md), [poses that are
 wrong](pose_noise.md), [what a localiser needs](localisation.md), [what the road prior is worth](road_prior.md),
 [real recordings](real_data.md), [the bridge to a car](bridge.md). The core: [speed against
-accuracy](speed_accuracy.md), [capacity from the pictures](capacity.md), [real photographs](photographs.md), [budgets](budgets.md), [where the time goes](profile.md),
-[the numbered rows](numerics.md) and [what they notice](planted_faults.md), [what was tried](core_notes.md).
+accuracy](speed_accuracy.md), [capacity from the pictures](capacity.md), [real photographs](photographs.md),
+[budgets](budgets.md), [where the time goes](profile.md), [the numbered rows](numerics.md) and [what they
+notice](planted_faults.md), [what was tried](core_notes.md).
 """
 
 
