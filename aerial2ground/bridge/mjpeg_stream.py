@@ -92,7 +92,9 @@ class MjpegStream:
             connection.request("GET", target, headers=headers)
             response = connection.getresponse()
         except (OSError, ValueError, http.client.HTTPException) as error:
-            reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+            # a wrong address is not repeated, there may be a password in it
+            words = "it is no address" if isinstance(error, ValueError) else str(error)
+            reason = getattr(error, "strerror", None) or words or type(error).__name__
             raise UserError(f"{self._shown}: cannot be opened ({reason}); check the address and the camera") from error
         kind_of_content = response.headers.get_content_type()
         if response.status != 200 or not kind_of_content.startswith("multipart/"):

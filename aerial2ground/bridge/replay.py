@@ -41,10 +41,13 @@ def read_log(folder: Path) -> list[dict]:
     records = []
     for number, line in enumerate(lines, 1):
         try:
-            records.append(json.loads(line))
+            record = json.loads(line)
+            if not isinstance(record, dict):
+                raise ValueError("not a group of keys")
+            records.append(record)
         except (ValueError, RecursionError) as error:
             if number < len(lines):  # the last one may be cut, as the power was
-                raise UserError(f"{file}: line {number} is no JSON; the black box is damaged") from error
+                raise UserError(f"{file}: line {number} is no record; the black box is damaged") from error
     return records
 
 

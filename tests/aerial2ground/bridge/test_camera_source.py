@@ -181,6 +181,12 @@ def test_servers_that_connect_and_then_say_nothing(answer, monkeypatch):
     assert ("gives no picture within 0.3 s" in said or "cannot be opened (timed out)" in said) and took < 4
 
 
+@pytest.mark.parametrize("login", ["me:sec/ret@", "me:sec@ret@", "me:secret@"])
+def test_no_part_of_a_password_is_shown(login):
+    said = opening_takes(f"http://{login}127.0.0.1:1/x?pwd=secret")[1]
+    assert "127.0.0.1:1/x: " in said and "sec" not in said and "ret" not in said.partition(": ")[0]
+
+
 def test_passwords_stay_out_of_messages():
     assert opening_takes("http://me:secret@127.0.0.1:1/x")[1].startswith("http://127.0.0.1:1/x: cannot be opened")
 

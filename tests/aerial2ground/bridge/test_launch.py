@@ -11,7 +11,14 @@ import serial
 
 from aerial2ground.bridge.car_file import load_car
 from aerial2ground.bridge.fake_vesc import FakeVesc
-from aerial2ground.bridge.launch import DeployConfig, guard_settings, launch, normal_arguments, policy_command
+from aerial2ground.bridge.launch import (
+    DeployConfig,
+    guard_settings,
+    launch,
+    new_folder,
+    normal_arguments,
+    policy_command,
+)
 from aerial2ground.bridge.picture_stream import PictureStream
 from aerial2ground.bridge.rig import HEIGHT, ROOT, SCRIPT, WIDTH, MovingPicture
 from aerial2ground.bridge.trial_policies import trial_policy
@@ -214,3 +221,28 @@ def test_r27_a_dry_run_opens_no_port(tmp_path, camera, policy, bridge_row):
 def test_ports_are_listed():
     status, said, _ = run("--port")
     assert status == 0 and said
+
+
+def test_every_start_has_a_folder_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.setattr(time, "strftime", lambda format: "20260101-120000")
+    names = [new_folder(tmp_path / "log").name for _ in range(3)]
+    assert names == ["20260101-120000", "20260101-120000-1", "20260101-120000-2"]
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="file: no log can be kept there"):
+        new_folder(tmp_path / "file")
+
+
+def test_descriptors_that_the_caller_closed_do_not_become_sockets(tmp_path, camera, policy):
+    # without them the policy's socket would get number 0, and be read as the keyboard
+    with FakeVesc() as vesc:
+        arguments = ["--policy", policy, "--camera", camera, "--car", CAR, "--port", vesc.port, "--log", tmp_path]
+        done = subprocess.run(
+            ["sh", "-c", 'exec "$@" <&-', "sh", sys.executable, str(SCRIPT), *map(str, arguments)],
+            cwd=ROOT,
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            timeout=30,
+        )
+    assert done.returncode == 0 and "standard input is closed" in done.stdout
+    assert "is no command" not in done.stdout + done.stderr

@@ -1,13 +1,15 @@
 import json
+import os
 import shutil
 
 import pytest
 
 from aerial2ground.bridge.policy_process import load_exported
 from aerial2ground.bridge.recorded_pictures import replay_answers
-from aerial2ground.bridge.replay import LOG, read_log, replay
+from aerial2ground.bridge.replay import LARGEST, LOG, read_log, replay
 from aerial2ground.bridge.rig import Rig
 from hashnerf.errors import UserError
+from scripts.replay_drive import draw
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +50,7 @@ def test_a_cut_last_line_is_left_out_and_a_damaged_one_named(drive, tmp_path):
     (tmp_path / LOG).write_text(whole[:-20])
     assert replay(tmp_path).periods == count - 2
     (tmp_path / LOG).write_text(whole.replace('"state"', "state", 1))
-    with pytest.raises(UserError, match="line 2 is no JSON"):
+    with pytest.raises(UserError, match="line 2 is no record"):
         replay(tmp_path)
 
 
@@ -61,3 +63,32 @@ def test_what_is_no_black_box_is_named(text, tmp_path):
     (tmp_path / LOG).write_text(text)
     with pytest.raises(UserError, match=r"log\.jsonl: is no black box of this version"):
         replay(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "line", [b"\xff\xfe\x00", b'{"t":' + b"[" * 100_000, b'{"t": 1' + b"0" * 400 + b', "in": [], "out": ""}', b"5"]
+)
+def test_a_black_box_that_was_damaged_is_named(drive, tmp_path, line):
+    head = (drive[0] / LOG).read_bytes().splitlines()[0]
+    (tmp_path / LOG).write_bytes(b"\n".join([head, line, b"{}"]))
+    with pytest.raises(UserError, match=r"log\.jsonl"):
+        replay(tmp_path)
+    with pytest.raises(UserError, match=r"drive|damaged"):
+        draw(tmp_path, tmp_path / "drive.png")
+
+
+def test_a_file_that_is_too_large_for_a_black_box_is_not_read(tmp_path):
+    with open(tmp_path / LOG, "wb") as file:
+        file.truncate(LARGEST + 1)
+    with pytest.raises(UserError, match="is over 200 MB"):
+        read_log(tmp_path)
+
+
+def test_a_chart_replaces_no_device_and_makes_no_folder(drive, tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for place in (tmp_path / "pipe", tmp_path, tmp_path / "none" / "drive.png"):
+        with pytest.raises(UserError, match="no picture can be written there"):
+            draw(drive[0], place)
+    assert (tmp_path / "pipe").is_fifo()
+    draw(drive[0], tmp_path / "drive.png")
+    assert (tmp_path / "drive.png").read_bytes()[:4] == b"\x89PNG"

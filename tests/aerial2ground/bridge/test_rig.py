@@ -62,7 +62,8 @@ def test_r04_r30_x7_the_period_holds_beside_other_work(tmp_path, bridge_row):
 
 
 @pytest.mark.parametrize(
-    ("number", "expected"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (None, 0)]
+    ("number", "expected"),
+    [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGTSTP, 148), (None, 0)],
 )
 def test_r11_r13_x2_a_signal_stops_the_car_before_the_end(number, expected, tmp_path, bridge_row):
     with armed(tmp_path) as rig:
