@@ -194,9 +194,10 @@ def _figure(value: float, unit: str) -> str:
 
 
 def _mutants(mutants: Mapping, coverage: Mapping) -> str:
+    drawn = f" ({mutants['sample']:.0%} of all, drawn at random)" if mutants["sample"] < 1 else ""
     counts = ", ".join(f"{count} {name}" for name, count in mutants["counts"].items())
     note = (
-        f"{mutants['mutants']} small faults, one at a time, in {coverage['lines']} statements: {counts}. The same "
+        f"{mutants['mutants']} small faults{drawn}, one at a time, in {coverage['lines']} statements: {counts}. The same "
         f"tests reach {coverage['percent']:.1f} % of statements and branches. Those that no test noticed:"
     )
     lines = [("place", "is", "became")]

@@ -31,7 +31,13 @@ def parts():
         "coverage": {"percent": 100.0, "lines": 700, "branches": 200},
     }
     survivor = {"file": "a.py", "line": 3, "before": "x | y", "after": "x", "outcome": "survived"}
-    mutants = {"killed_share": 0.96, "mutants": 25, "counts": {"killed": 24, "survived": 1}, "survivors": [survivor]}
+    mutants = {
+        "sample": 0.5,
+        "killed_share": 0.96,
+        "mutants": 25,
+        "counts": {"killed": 24, "survived": 1},
+        "survivors": [survivor],
+    }
     return {name: ABOUT | {"found": value} for name, value in found.items()} | {"mutants": ABOUT | mutants}
 
 
@@ -51,6 +57,7 @@ def test_the_page_tells_what_was_measured():
     assert "| killed | 150 | 20 | 30 | 3 | 0 |" in text
     assert "| R24 | stops in time | e-stop | 40 ms | 50 ms | yes | `tests.b` |" in text
     assert "not tested: there are none" in text
+    assert "25 small faults (50% of all, drawn at random), one at a time" in text
     assert "96.0% of 25 | met" in text and "| a.py:3 | `x \\| y` | `x` |" in text
     assert "Replayed: 480 periods, 0 of them" in text and "(../images/bridge_drive.png)" in text
     assert "1000000 bytes: still running, 0 frames beyond, +0.0 MB | met" in text

@@ -387,3 +387,32 @@ def test_it_is_a_program(place, monkeypatch):
     with pytest.raises(SystemExit) as ended:
         runpy.run_module("aerial2ground.guard.guard_process", run_name="__main__")
     assert ended.value.code == 0
+
+
+@pytest.mark.parametrize(("code", "status"), [(2, 2), (0, 0)])
+def test_what_the_policy_found_wrong_is_told_though_the_operator_has_gone(place, code, status):
+    os.write(place.keys, b"quit\n")
+    assert main(argument(place, policy_process=ended_child(code))) == status
+
+
+@pytest.mark.parametrize("hurried", [True, False])
+def test_the_operator_is_greeted_when_all_is_there(place, capsys, hurried):
+    place.policy.send(b"ready")
+    place.start(lambda: (time.sleep(0.3), os.write(place.keys, b"check\nquit\n")))
+    assert run_guard(ProcessSettings(**place.settings()), hurried) == 0
+    place.end_threads()
+    said = capsys.readouterr().out
+    assert f"black box: {place.folder}; process {os.getpid()}\n" in said
+    assert ("no real-time priority" in said) is not hurried
+    assert "say check, yes, arm" in said
+    assert "no motor controller is connected: no wheel can turn\n" in said
+
+
+def test_signals_that_somebody_blocked_are_heard(place):
+    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
+    try:
+        place.start(lambda: (time.sleep(0.3), os.kill(os.getpid(), signal.SIGTERM)))
+        assert run_guard(ProcessSettings(**place.settings())) == 143
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
+        place.end_threads()

@@ -4,6 +4,8 @@ import itertools
 
 import pytest
 
+from aerial2ground.guard import loop
+from aerial2ground.guard.faults import Fault
 from aerial2ground.guard.loop import FIRST_RETRY, LAST_RETRY
 from aerial2ground.guard.serial_link import LinkBlocked, LinkLost
 from aerial2ground.guard.states import State
@@ -154,3 +156,46 @@ def test_the_operator_is_told_once_a_second_while_the_car_drives(world):
     # armed from 4.1 to 7.4 s
     assert 3 <= len(lines) <= 4
     assert lines[-1].startswith("steering +0.000 rad, picture ") and lines[-1].endswith(" ms old, 1.00 m/s, 11.8 V")
+
+
+def test_a_sentence_is_said_once_a_second(world):
+    world.at(1.0, "nonsense\n" * 20)
+    world.at(1.5, "nonsense\n")
+    world.at(2.5, "nonsense\n")
+    world.at(3.0, "quit\n")
+    world.run()
+    assert sum("'nonsense' is no command" in line for line in world.said) == 2
+
+
+def test_sentences_without_end_are_forgotten(world, monkeypatch):
+    monkeypatch.setattr(loop, "MOST_SENTENCES", 5)
+    for number in range(10):
+        world.at(1.0 + 0.1 * number, f"word{number}\n")
+    world.at(3.0, "quit\n")
+    world.run()
+    assert len(world.loop._said) <= 6 and sum("is no command" in line for line in world.said) == 10
+
+
+def test_of_a_flood_of_words_only_stops_are_heard(world):
+    world.arms().at(6.0, "y\n" * 100)
+    for part in range(1, 40):
+        world.at(6.0 + 0.0001 * part, "y\n" * 100)
+    world.at(6.01, " ")
+    world.at(7.5, "quit\n")
+    world.run()
+    assert world.guard.fault is Fault.E_STOP
+    assert max(len(record["in"]) for record in world.records()[1:]) <= loop.MOST_HAPPENINGS + 2
+
+
+def test_a_hand_of_before_a_sleep_is_not_one_of_now(world):
+    def sleep():
+        world.type("g")  # pressed, let go, and read only 90 ms later
+        world.hand = False
+        world.now += 0.09
+
+    world.arms().at(6.0, sleep)
+    world.at(7.5, "quit\n")
+    world.run()
+    (first, *_) = world.frames(BRAKE, 6.0)
+    # 80 ms after the period in which the key could have been read, not after that in which it was
+    assert first[0] <= 6.0 + 0.02 + 0.08 + 0.04

@@ -119,3 +119,13 @@ def test_it_is_really_done_in_a_process_of_its_own():
     said = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, timeout=100, check=True, text=True)
     assert said.stdout == "True\n"
     assert gc.isenabled()
+
+
+def test_a_child_that_the_system_has_forgotten():
+    """Whoever started us may have children forgotten: then there is nobody to wait for."""
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        child = os.posix_spawnp("sh", ["sh", "-c", "exit 3"], os.environ)
+        assert end_child(child, 100.0) == 0
+    finally:
+        signal.signal(signal.SIGCHLD, before)
