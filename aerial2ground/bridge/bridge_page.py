@@ -197,8 +197,8 @@ def _mutants(mutants: Mapping, coverage: Mapping) -> str:
     drawn = f" ({mutants['sample']:.0%} of all, drawn at random)" if mutants["sample"] < 1 else ""
     counts = ", ".join(f"{count} {name}" for name, count in mutants["counts"].items())
     note = (
-        f"{mutants['mutants']} small faults{drawn}, one at a time, in {coverage['lines']} statements: {counts}. The same "
-        f"tests reach {coverage['percent']:.1f} % of statements and branches. Those that no test noticed:"
+        f"{mutants['mutants']} small faults{drawn}, one at a time, in {coverage['lines']} statements: {counts}. The "
+        f"same tests reach {coverage['percent']:.1f} % of statements and branches. Those that no test noticed:"
     )
     lines = [("place", "is", "became")]
     for one in mutants["survivors"]:
