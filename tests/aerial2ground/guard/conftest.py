@@ -1,11 +1,13 @@
 """A world around the guard's loop."""
 
+import signal
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import pytest
 
 if TYPE_CHECKING:
+    from tests.aerial2ground.guard.place import Place
     from tests.aerial2ground.guard.world import World
 
 
@@ -30,3 +32,17 @@ def make_world(tmp_path, monkeypatch) -> "Iterator[Callable[..., World]]":
 def world(make_world) -> "World":
     """A world with a port, a car and a policy."""
     return make_world()
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch) -> "Iterator[Place]":
+    """A place for the guard's process, left as it was found."""
+    from aerial2ground.guard.guard_process import IGNORED, SIGNALS
+    from tests.aerial2ground.guard.place import Place, closed
+
+    before = {number: signal.getsignal(number) for number in (*SIGNALS, *IGNORED)}
+    made = Place(tmp_path / "log", monkeypatch)
+    yield made
+    made.policy_socket = -1 if closed(made.policy_socket) else made.policy_socket
+    made.close()
+    assert {number: signal.getsignal(number) for number in before} == before

@@ -1,6 +1,5 @@
 """The guard's process, run in this one: with a real port, a policy's socket, signals, and a child."""
 
-import contextlib
 import json
 import os
 import pty
@@ -13,7 +12,6 @@ import sys
 import termios
 import threading
 import time
-import tty
 from types import SimpleNamespace
 
 import pytest
@@ -22,101 +20,8 @@ from aerial2ground.guard import guard_process, loop, priority
 from aerial2ground.guard.actuation import Actuation
 from aerial2ground.guard.guard_process import SIGNALS, ProcessSettings, main, run_guard, signal_socket
 from hashnerf.errors import UserError
-from tests.aerial2ground.guard.bench import ANSWER, FIRMWARE, answer, crc16, taken_apart
-
-PATIENCE = 30.0
-
-
-class Place:
-    """What the guard's process is given: standard input, the policy's socket, a port; `plan` acts from a thread."""
-
-    def __init__(self, folder, monkeypatch):
-        self.folder, self.prepared, self.heard = folder, [], b""
-        self.reader, self.keys = os.pipe()
-        self.policy, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self.policy_socket = theirs.detach()  # the guard closes it
-        self.master, self._slave = os.openpty()
-        tty.setraw(self.master)
-        self.port = os.ttyname(self._slave)
-        self._ends, self._threads = threading.Event(), []
-        monkeypatch.setattr(sys, "stdin", SimpleNamespace(fileno=lambda: self.reader))
-        monkeypatch.setattr(guard_process, "prefer", lambda: self.prepared.append("prefer") is None)
-        monkeypatch.setattr(guard_process, "die_with_parent", self.prepared.append)
-
-    def settings(self, **changed) -> dict:
-        """Of the process, without a port."""
-        return {"actuation": {}, "guard": {}, "policy_socket": self.policy_socket, "log": str(self.folder)} | changed
-
-    def start(self, act, *arguments) -> None:
-        """Runs something beside the guard."""
-        thread = threading.Thread(target=act, args=arguments)
-        self._threads.append(thread)
-        thread.start()
-
-    def controller(self) -> None:
-        """Answers as a motor controller does, and keeps what it heard."""
-        while True:
-            if not select.select([self.master], [], [], 0.02)[0]:
-                if self._ends.is_set():
-                    return
-                continue
-            try:
-                data = os.read(self.master, 4096)
-            except OSError:
-                continue
-            self.heard += data
-            for question, payload in ((b"\x02\x01\x00", b"\x00\x06\x02bench\x00"), (b"\x02\x01\x04", answer())):
-                for _ in range(data.count(question)):
-                    framed = bytes([2, len(payload)]) + payload + crc16(payload).to_bytes(2, "big") + b"\x03"
-                    os.write(self.master, framed)
-
-    def wait_for(self, what) -> None:
-        """Waits until something is true."""
-        ends = time.monotonic() + PATIENCE
-        while not what() and time.monotonic() < ends:
-            time.sleep(0.005)
-
-    def first_line(self) -> dict:
-        """Of the black box."""
-        return json.loads((self.folder / "log.jsonl").read_text().splitlines()[0])
-
-    def lines(self) -> list[dict]:
-        """All others."""
-        return [json.loads(line) for line in (self.folder / "log.jsonl").read_text().splitlines()[1:]]
-
-    def end_threads(self) -> None:
-        """Ends what runs beside the guard."""
-        self._ends.set()
-        for thread in self._threads:
-            thread.join(PATIENCE)
-            assert not thread.is_alive()
-
-    def close(self) -> None:
-        """Ends the threads and closes everything."""
-        self.end_threads()
-        self.policy.close()
-        for descriptor in (self.reader, self.keys, self.master, self._slave, self.policy_socket):
-            with contextlib.suppress(OSError):  # the guard or the test has closed it
-                os.close(descriptor)
-
-
-@pytest.fixture
-def place(tmp_path, monkeypatch):
-    """A place for the guard's process, left as it was found."""
-    before = {number: signal.getsignal(number) for number in (*SIGNALS, signal.SIGTTOU)}
-    made = Place(tmp_path / "log", monkeypatch)
-    yield made
-    made.policy_socket = -1 if _closed(made.policy_socket) else made.policy_socket
-    made.close()
-    assert {number: signal.getsignal(number) for number in before} == before
-
-
-def _closed(descriptor: int) -> bool:
-    try:
-        os.fstat(descriptor)
-    except OSError:
-        return True
-    return False
+from tests.aerial2ground.guard.bench import ANSWER, FIRMWARE, taken_apart
+from tests.aerial2ground.guard.place import PATIENCE, closed
 
 
 def test_the_words_of_the_operator_end_it(place):
@@ -125,7 +30,7 @@ def test_the_words_of_the_operator_end_it(place):
     assert run_guard(ProcessSettings(**place.settings())) == 0
     assert threading.active_count() == threads
     assert place.first_line() == {"actuation": {}, "guard": {}}
-    assert _closed(place.policy_socket)
+    assert closed(place.policy_socket)
     assert place.lines()[-1]["state"] == "DISARMED"
 
 
@@ -359,7 +264,7 @@ def test_signals_arrive_as_bytes_and_everything_is_put_back():
         signal.set_wakeup_fd(ours, warn_on_full_buffer=False)
     assert {number: signal.getsignal(number) for number in before} == before
     assert signal.set_wakeup_fd(-1) == -1
-    assert _closed(ours) and reader.fileno() == -1
+    assert closed(ours) and reader.fileno() == -1
 
 
 def test_the_car_is_that_of_the_settings(place, monkeypatch):
@@ -416,3 +321,13 @@ def test_signals_that_somebody_blocked_are_heard(place):
     finally:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
         place.end_threads()
+
+
+def test_an_error_of_the_program_ends_the_child_and_is_shown(place, monkeypatch):
+    asked = []
+    monkeypatch.setattr(guard_process, "end_child", lambda *what: asked.append(what) or 0)
+    monkeypatch.setattr(guard_process, "run_guard", lambda *what: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        main(argument(place, policy_process=77))
+    assert asked == [(77, 0.0)]
+    os.close(place.policy_socket)

@@ -103,6 +103,17 @@ def test_an_input_that_cannot_be_read_any_more_is_closed():
     os.close(theirs)
 
 
+def test_an_input_that_fails_is_closed(keys, monkeypatch):
+    def fail(descriptor, count):
+        raise OSError(5, "Input/output error")
+
+    keyboard = Keyboard(keys[0], True)
+    with monkeypatch.context() as broken:
+        broken.setattr(os, "read", fail)
+        assert keyboard.read() == ["closed"]
+    keyboard.close()
+
+
 def test_an_input_that_somebody_else_has_read_is_not_waited_for(keys):
     reader, _ = keys
     keyboard = Keyboard(reader, True)
