@@ -31,8 +31,7 @@ class BlackBox:
         self._ends = False
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            self._ring = os.open(folder / "last_minute.jsonl", os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o644)
-            os.posix_fallocate(self._ring, 0, SLOTS * SLOT)
+            self._ring = _ring(folder / "last_minute.jsonl")
         except OSError as error:
             raise UserError(f"{folder}: the log has no place there ({error.strerror}); give another --log") from error
         self._log: int | None = None
@@ -78,6 +77,17 @@ class BlackBox:
             self._written += os.write(self._log, line)
         except OSError:
             self.lost += 1
+
+
+def _ring(path: Path) -> int:
+    """Opens the ring and takes its place on the disk."""
+    ring = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o644)
+    try:
+        os.posix_fallocate(ring, 0, SLOTS * SLOT)
+    except OSError:
+        os.close(ring)
+        raise
+    return ring
 
 
 def _line(record: dict) -> bytes:

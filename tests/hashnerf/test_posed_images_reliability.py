@@ -225,6 +225,8 @@ def in_a_process(work) -> float:
     reader, writer = os.pipe()
     if os.fork() == 0:
         try:
+            os.closerange(3, writer)  # what other tests have open is not ours either
+            os.closerange(writer + 1, 4096)
             os.write(writer, str(float(work())).encode())
         finally:
             os._exit(0)

@@ -199,3 +199,13 @@ def test_a_hand_of_before_a_sleep_is_not_one_of_now(world):
     (first, *_) = world.frames(BRAKE, 6.0)
     # 80 ms after the period in which the key could have been read, not after that in which it was
     assert first[0] <= 6.0 + 0.02 + 0.08 + 0.04
+
+
+def test_a_speed_that_is_not_known_is_not_in_the_black_box(world):
+    world.arms().at(6.0, lambda: setattr(world.car, "answers", False))
+    world.at(9.5, "quit\n")
+    world.run()
+    known = {record["erpm"] is not None for record in world.records()[1:] if 6.0 < record["t"] - START < 6.2}
+    unknown = {record["erpm"] is None for record in world.records()[1:] if 6.5 < record["t"] - START < 8.0}
+    assert known == unknown == {True}
+    assert any("THE CAR MAY STILL ROLL" in line for line in world.said)

@@ -43,6 +43,7 @@ def test_the_space_bar_stops_at_once_and_forgets_what_was_typed(keys):
     assert keyboard.read() == ["estop", "m"]
     typing(b" ")
     assert keyboard.read() == ["estop"]
+    keyboard.close()
 
 
 def test_the_key_is_the_dead_man_only_where_it_is_said_to_be(keys):
@@ -50,6 +51,7 @@ def test_the_key_is_the_dead_man_only_where_it_is_said_to_be(keys):
     keyboard = Keyboard(reader, False)
     typing(b"gggstop\ng ")
     assert keyboard.read() == ["stop", "estop"]
+    keyboard.close()
 
 
 @pytest.mark.parametrize("dead_man", [True, False])
@@ -58,6 +60,7 @@ def test_signs_are_no_words(keys, dead_man):
     keyboard = Keyboard(reader, dead_man)
     typing(b"held\nreleased\nclosed\n")
     assert keyboard.read() == ["held (typed)", "released (typed)", "closed (typed)"]
+    keyboard.close()
 
 
 def test_long_words_are_cut_and_odd_bytes_do_no_harm(keys):
@@ -91,6 +94,7 @@ def test_the_end_of_the_input():
     os.close(writer)
     assert keyboard.read() == ["stop"]
     assert keyboard.read() == ["closed"]
+    keyboard.close()
     os.close(reader)
 
 
@@ -138,6 +142,8 @@ def test_a_terminal_that_a_shell_has_changed_gives_every_key_at_once_again():
     keyboard = Keyboard(theirs, True, shown.append)
     os.write(ours, b"ax\x7frm")
     assert keyboard.read() == [] and "".join(shown) == "ax\b \brm"
+    os.write(ours, b"\n")
+    assert keyboard.read() == ["arm"] and shown[-1] == "\n"
     termios.tcsetattr(theirs, termios.TCSANOW, before)
     os.write(ours, b" ")
     assert keyboard.poll() == [] and keyboard.read() == ["estop"]
@@ -160,6 +166,7 @@ def test_a_terminal_gives_every_key_and_is_given_back():
     keyboard = Keyboard(theirs, True)
     os.close(ours)
     assert keyboard.read() == ["closed"]  # and no exception
+    keyboard.close()
     os.close(theirs)
 
 

@@ -247,3 +247,13 @@ def test_r18_the_same_device_is_found_under_another_number(tmp_path, bridge_row)
     bridge_row("R18", "bytes of the device behind a swapped link that are missing", 4 - len(link.read()), 0)
     link.close()
     new.unplug()
+
+
+def test_programs_that_do_not_ask_for_the_lock_are_kept_out_too():
+    master, slave = os.openpty()
+    link = SerialLink(os.ttyname(slave))
+    answer = fcntl.ioctl(slave, 0x80045440, b"\0\0\0\0")  # TIOCGEXCL, which Python does not name
+    assert struct.unpack("i", answer)[0] == 1
+    link.close()
+    os.close(master)
+    os.close(slave)

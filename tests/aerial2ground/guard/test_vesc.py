@@ -259,3 +259,8 @@ def test_values_are_frozen():
     with pytest.raises(AttributeError):
         read_values(answer()).erpm = 1
     assert struct.calcsize(">BhhiiiihihiiiiiiBiBhhhiiB") == len(answer())
+
+
+def test_a_frame_without_payload_is_none():
+    parser = FrameParser()
+    assert parser.feed(bytes.fromhex("0200000003"), 0.0) == [] and parser.frames == 0

@@ -82,7 +82,8 @@ class World:
         self.log = folder / "log" / "log.jsonl"
         monkeypatch.setattr(loop_module, "SerialLink", self._open)
         monkeypatch.setattr(loop_module, "select", SimpleNamespace(select=self._select))
-        parts = {"inputs": [Keyboard(reader, True)], "polled": [], "say": self.said.append, "clock": lambda: self.now}
+        self._keyboard = Keyboard(reader, True)
+        parts = {"inputs": [self._keyboard], "polled": [], "say": self.said.append, "clock": lambda: self.now}
         parts |= changed
         self.guard = Guard(CAR, DEFAULTS)
         self.loop = Loop(self.guard, port, self.ours, signals=self.signals, black_box=self.black_box, **parts)
@@ -184,6 +185,7 @@ class World:
     def close(self) -> None:
         """Closes everything."""
         self.loop.close_link()
+        self._keyboard.close()
         self.black_box.close(10.0)
         for one in (self.ours, self.policy, self.signals, self.kill):
             one.close()
